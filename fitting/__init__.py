@@ -1,0 +1,1 @@
+"""Fits of underwater light to water constituents: the inverse side of oceaninv."""

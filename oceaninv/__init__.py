@@ -1,0 +1,1 @@
+"""Differentiable inverse rendering under water."""

@@ -1,0 +1,1 @@
+"""The ladder of light-field models, from closed forms to exact."""

@@ -1,0 +1,20 @@
+"""Every test runs in float64, under strict dtype promotion, without silent rank promotion,
+with run-time shape checks of all annotated functions."""
+
+import jax
+import pytest
+from jaxtyping import install_import_hook
+
+jax.config.update("jax_enable_x64", True)
+jax.config.update("jax_numpy_dtype_promotion", "strict")
+jax.config.update("jax_numpy_rank_promotion", "raise")
+
+install_import_hook(["oceaninv", "fitting"], "beartype.beartype")
+
+
+@pytest.fixture(autouse=True)
+def _fixed_configuration():
+    """The library never touches jax.config: a test that changes it must put it back."""
+    before = jax.config.values.copy()
+    yield
+    assert jax.config.values == before
