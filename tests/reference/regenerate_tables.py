@@ -1,0 +1,389 @@
+"""Write the tables of oceaninv/data from the collection of published numbers.
+
+    python tests/reference/regenerate_tables.py [folder]
+
+reads ../shared/data next to the repository and writes into `folder` (default oceaninv/data).
+Not needed at run time: the tables are part of the package.
+"""
+
+import csv
+import sys
+from pathlib import Path
+
+import numpy as np
+
+ROOT = Path(__file__).parents[2]
+SOURCE = ROOT.parent / "shared" / "data"
+
+TYPES = ("I", "IA", "IB", "II", "III", "1C", "3C", "5C", "7C", "9C")
+FLAGS = {"Kd0": 1, "Kd": 2, "KdH": 4, "a": 8, "b": 16}
+# Cameras that divers house or put in a dome, from compact to full frame.
+CAMERAS = (
+    "Arashi Vision Insta360 X5",
+    "Canon EOS 5D Mark II",
+    "Canon EOS 5D Mark III",
+    "Canon EOS 5D Mark IV",
+    "Canon EOS 5DS",
+    "Canon EOS R5",
+    "Canon EOS R5m2",
+    "Canon EOS R6",
+    "Canon PowerShot S90",
+    "Nikon D7000",
+    "Nikon D800E",
+    "Nikon D810",
+    "Nikon D850",
+    "Nikon Z f",
+    "Panasonic DC-GX9",
+    "Sony DSC-RX100M4",
+    "Sony ILCE-6400",
+    "Sony ILCE-7M3",
+    "Sony ILCE-7M4",
+    "Sony ILCE-7RM3",
+    "Sony ILCE-7RM4",
+    "Sony ILCE-7SM3",
+)
+# Published with each channel scaled to 1, so that the balance between channels is lost.
+UNBALANCED = ("ARRI D21", "Nikon D5100")
+
+
+def read(name):
+    """Rows of a source table as dictionaries of strings."""
+    with open(SOURCE / f"{name}.csv", encoding="utf-8", newline="") as file:
+        return list(csv.DictReader(line for line in file if not line.startswith("#")))
+
+
+def number(value, digits=12):
+    """Shortest text of a number; blank stays blank."""
+    return "" if value == "" else f"{float(value):.{digits}g}"
+
+
+def write(folder, name, header, columns, digits=12):
+    """One table: five comment lines, names, numbers."""
+    lines = [f"# {key}: {header[key]}" for key in ("title", "citation", "units", "range", "note")]
+    lines.append(",".join(columns))
+    for row in zip(*columns.values(), strict=True):
+        lines.append(",".join(number(cell, digits) for cell in row))
+    (folder / f"{name}.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
+
+
+def pick(rows, **columns):
+    """Columns renamed: ours=theirs, or ours=(theirs, factor)."""
+    table = {}
+    for ours, theirs in columns.items():
+        theirs, factor = theirs if isinstance(theirs, tuple) else (theirs, 1.0)
+        cells = [row[theirs] for row in rows]
+        table[ours] = [cell if cell == "" else float(cell) * factor for cell in cells]
+    return table
+
+
+def between(rows, low, high):
+    return [row for row in rows if low <= float(row["wavelength_nm"]) <= high]
+
+
+def pure_water(folder):
+    write(
+        folder,
+        "IOCCG2018",
+        {
+            "title": "Absorption of pure water, consensus table",
+            "citation": "Neeley & Mannino (editors), 2018, IOCCG Ocean Optics and Biogeochemistry"
+            " Protocols, volume 1.0, Absorption coefficient, table 1.1, doi:10.25607/OBP-119;"
+            " after Jonasz & Fournier 2007, Morel et al. 2007, Pope & Fry 1997, Kou et al. 1993",
+            "units": "wavelength=nm, a=1/m, a_sigma=1/m, a_temperature=1/m/degC, a_salinity=1/m",
+            "range": "300-800 nm",
+            "note": "a for fresh water at 22 degC, the temperature of both the Pope & Fry (420-725"
+            " nm) and the Kou (730-800 nm) measurements; a_temperature and a_salinity are slopes"
+            " per degC and per unit of practical salinity; a_salinity is not given below 400 nm",
+        },
+        pick(
+            between(read("aw_ioccg_2018"), 300, 800),
+            wavelength="wavelength_nm",
+            a="a_w_per_m",
+            a_sigma="a_w_unc_per_m",
+            a_temperature=("dadT_1e-4_per_m_per_degC", 1e-4),
+            a_salinity=("dadS_1e-4_per_m_per_psu", 1e-4),
+        ),
+    )
+    write(
+        folder,
+        "PopeFry1997",
+        {
+            "title": "Absorption of pure water, integrating cavity",
+            "citation": "Pope & Fry, 1997, Applied Optics 36:8710-8723, table 3,"
+            " doi:10.1364/AO.36.008710",
+            "units": "wavelength=nm, a=1/m",
+            "range": "380-727.5 nm",
+            "note": "fresh water at 22 degC; printed in 1/cm",
+        },
+        pick(read("aw_pope_fry_1997"), wavelength="wavelength_nm", a="a_w_per_m"),
+    )
+    write(
+        folder,
+        "SmithBaker1981",
+        {
+            "title": "Absorption of the clearest natural waters",
+            "citation": "Smith & Baker, 1981, Applied Optics 20:177-184, table 1,"
+            " doi:10.1364/AO.20.000177",
+            "units": "wavelength=nm, a=1/m",
+            "range": "200-800 nm",
+            "note": "an upper bound for pure water below about 420 nm; no temperature or salinity"
+            " is stated",
+        },
+        pick(read("aw_smith_baker_1981"), wavelength="wavelength_nm", a="a_w_per_m"),
+    )
+    write(
+        folder,
+        "WOPPv3",
+        {
+            "title": "Absorption of pure water, Water Optical Properties Processor version 3",
+            "citation": "Roettgers et al., 2016, WOPP version 3; slopes Roettgers et al. 2014,"
+            " Optics Express 22:25093, doi:10.1364/OE.22.025093; 300-510 nm Mason et al. 2016,"
+            " Applied Optics 55:7163, doi:10.1364/AO.55.007163",
+            "units": "wavelength=nm, a=1/m, a_sigma=1/m, a_temperature=1/m/degC, a_salinity=1/m",
+            "range": "300-800 nm",
+            "note": "a for fresh water at 20 degC; a_temperature and a_salinity are slopes per degC"
+            " and per unit of practical salinity",
+        },
+        pick(
+            between(read("aw_wopp_v3_300_1100"), 300, 800),
+            wavelength="wavelength_nm",
+            a="a_w_per_m_20C_0psu",
+            a_sigma="sigma_a",
+            a_temperature="psiT_per_m_per_degC",
+            a_salinity="psiS_per_m_per_psu",
+        ),
+    )
+
+
+def constituents(folder):
+    write(
+        folder,
+        "Bricaud1995",
+        {
+            "title": "Chlorophyll-specific absorption of phytoplankton",
+            "citation": "Bricaud, Babin, Morel & Claustre, 1995, Journal of Geophysical Research"
+            " 100:13321-13332, table 2, doi:10.1029/95JC00463",
+            "units": "wavelength=nm, A=m2/mg, E=1",
+            "range": "400-700 nm",
+            "note": "a_ph = A C^(1-E) in 1/m, C chlorophyll a in mg/m3, 0.02-25 mg/m3",
+        },
+        pick(read("aph_bricaud_1995"), wavelength="wavelength_nm", A="A", E="E"),
+    )
+    write(
+        folder,
+        "Bricaud1998",
+        {
+            "title": "Absorption of particles and of phytoplankton against chlorophyll",
+            "citation": "Bricaud, Morel, Babin, Allali & Claustre, 1998, Journal of Geophysical"
+            " Research 103:31033-31044, doi:10.1029/98JC02712",
+            "units": "wavelength=nm, A_*=(1/m)(mg/m3)^-E, E_*=1",
+            "range": "400-700 nm",
+            "note": "a_p = A_p C^E_p for all particles, a_phi = A_phi C^E_phi for phytoplankton,"
+            " in 1/m; C chlorophyll a with divinyl and pheopigments in mg/m3",
+        },
+        pick(
+            read("aph_bricaud_1998"),
+            wavelength="wavelength_nm",
+            A_p="A_p",
+            E_p="E_p",
+            A_phi="A_phi",
+            E_phi="E_phi",
+        ),
+    )
+    # Tables 1 and 2 of the paper, eight wavelengths each; water is printed in 1/cm.
+    water = (0.00022, 0.000145, 0.000257, 0.000638, 0.00289, 0.0043, 0.01169, 0.0236)
+    write(
+        folder,
+        "Gutierrez2008",
+        {
+            "title": "Coefficients of water constituents as printed for underwater rendering",
+            "citation": "Gutierrez, Seron, Munoz & Anson, 2008, Computer Graphics Forum"
+            " 27(2):547-556, tables 1 and 2; after Smith & Baker 1981, Sathyendranath et al. 1987,"
+            " Stramski et al. 2001",
+            "units": "wavelength=nm, a_phytoplankton=m2/mg, *=1/m",
+            "range": "380-780 nm",
+            "note": "eight points: interpolated water absorption is up to 36 % high at 570-580 nm;"
+            " a_phytoplankton is per mg/m3 of chlorophyll; a_water is printed in 1/cm",
+        },
+        {
+            "wavelength": (380, 440, 500, 550, 610, 670, 720, 780),
+            "a_water": [100 * value for value in water],
+            "a_phytoplankton": (0.025, 0.035, 0.02, 0.01, 0.007, 0.015, 0.001, 0.0001),
+            "b_detritus": (0.045, 0.0375, 0.0325, 0.03, 0.0285, 0.0275, 0.027, 0.027),
+            "b_minerals": (0.0675, 0.0525, 0.05, 0.045, 0.04, 0.036, 0.034, 0.032),
+        },
+    )
+    write(
+        folder,
+        "Petzold1972",
+        {
+            "title": "Average-particle phase function of San Diego Harbor",
+            "citation": "Petzold, 1972, Scripps Institution of Oceanography report 72-78; mean of"
+            " three stations with water removed after Mobley, 1994, Light and Water, table 3.10",
+            "units": "angle=deg, phase_function=1/sr",
+            "range": "0.1-180 deg",
+            "note": "integrates to 1 over the sphere when the part below 0.1 deg (5.2 %) follows"
+            " angle^-1.3467; mean cosine 0.924, backscattered fraction 0.0183; measured in green"
+            " light",
+        },
+        pick(
+            read("petzold_average_particle_phase_function"),
+            angle="angle_deg",
+            phase_function="phase_function_per_sr",
+        ),
+        digits=8,
+    )
+
+
+def water_types(folder):
+    write(
+        folder,
+        "MorelMaritorena2001",
+        {
+            "title": "Diffuse attenuation of open-ocean (case 1) waters against chlorophyll",
+            "citation": "Morel & Maritorena, 2001, Journal of Geophysical Research 106:7163-7180,"
+            " table 2, doi:10.1029/2000JC000319",
+            "units": "wavelength=nm, Kw=1/m, chi=(1/m)(mg/m3)^-e, e=1",
+            "range": "350-700 nm",
+            "note": "Kd = Kw + chi C^e in 1/m, mean over the euphotic layer; C chlorophyll in mg/m3",
+        },
+        pick(
+            read("kd_morel_maritorena_2001"),
+            wavelength="wavelength_nm",
+            Kw="K_w_per_m",
+            chi="chi",
+            e="e",
+        ),
+    )
+    write(
+        folder,
+        "Jerlov1976",
+        {
+            "title": "Downward diffuse attenuation of the Jerlov water types",
+            "citation": "Jerlov, 1976, Marine Optics (Elsevier), table XXVII",
+            "units": "wavelength=nm, *=1/m",
+            "range": "310-700 nm",
+            "note": "mean Kd from 0 to 10 m; 7C and 9C have no value at 310 nm",
+        },
+        pick(
+            read("jerlov_kd_1976_table27"),
+            wavelength="wavelength_nm",
+            **{kind: kind for kind in TYPES},
+        ),
+    )
+    rows = read("jerlov_iop_solonenko_mobley_2015")
+    for row in rows:
+        row["flag"] = sum(FLAGS[flag] for flag in row["flagged"].split("|") if flag)
+    columns = by_type(rows, TYPES, ("a", "b", "Kd0", "Kd", "KdH", "flag"))
+    write(
+        folder,
+        "SolonenkoMobley2015",
+        {
+            "title": "Inherent optical properties fitted to the Jerlov water types",
+            "citation": "Solonenko & Mobley, 2015, Applied Optics 54:5392-5401,"
+            " doi:10.1364/AO.54.005392",
+            "units": "wavelength=nm, flag_*=bits, *=1/m",
+            "range": "300-700 nm",
+            "note": "a, b total absorption and scattering; Kd0 the attenuation aimed at, Kd the"
+            " authors' fit, KdH their radiative-transfer check; flag adds up the numbers of the row"
+            " that a later compilation marks as doubtful: 1 Kd0 + 2 Kd + 4 KdH + 8 a + 16 b; b of"
+            " type I lies below that of pure sea water up to 525 nm; no a for 3C from 675 nm and"
+            " 5C from 600 nm",
+        },
+        columns,
+    )
+    types = ("IB", "II", "III", "1C", "3C", "5C")
+    write(
+        folder,
+        "WilliamsonHollins2022",
+        {
+            "title": "Measured inherent optical properties of the Jerlov water types IB to 5C",
+            "citation": "Williamson & Hollins, 2022, Applied Optics 61:9951-9961,"
+            " doi:10.1364/AO.470464, data doi:10.6084/m9.figshare.20290782; Crown copyright (2022)"
+            " Dstl, Open Government Licence v3.0",
+            "units": "wavelength=nm, *=1/m",
+            "range": "300-800 nm",
+            "note": "a, b total absorption and scattering; measured 412-715 nm, the authors' model"
+            " outside; contains public sector information licensed under the Open Government"
+            " Licence v3.0",
+        },
+        by_type(read("jerlov_iop_williamson_hollins_2022"), types, ("a", "b")),
+    )
+
+
+def by_type(rows, types, quantities):
+    """Long rows to one column for each quantity and type."""
+    first = [row for row in rows if row["water_type"] == types[0]]
+    table = {"wavelength": [row["wavelength_nm"] for row in first]}
+    for kind in types:
+        block = [row for row in rows if row["water_type"] == kind]
+        assert [row["wavelength_nm"] for row in block] == table["wavelength"]
+        table |= {f"{name}_{kind}": [row[name] for row in block] for name in quantities}
+    return table
+
+
+def cameras(folder):
+    spectra = {}
+    rows = read("camera_ssf_rawtoaces_52")
+    for row in rows:
+        spectra.setdefault(row["camera"], []).append([float(row[c]) for c in "RGB"])
+    grid = np.unique([float(row["wavelength_nm"]) for row in rows])
+    spectra = {name: np.array(block) for name, block in spectra.items()}
+    spectra = {name: block / block[:, 1].max() for name, block in spectra.items()}
+    source = (
+        "rawtoaces-data, Academy Software Foundation and A.M.P.A.S., Apache License 2.0 (see"
+        " NOTICE.md)"
+    )
+    common = {"units": "wavelength=nm, *=1", "range": "380-780 nm"}
+    columns = {"wavelength": grid}
+    for name in CAMERAS:
+        columns |= {f"{name} {c}": spectra[name][:, i] for i, c in enumerate("RGB")}
+    write(
+        folder,
+        "cameras",
+        common
+        | {
+            "title": "Spectral sensitivities of cameras",
+            "citation": source,
+            "note": "relative response to spectral radiance; the green maximum of each camera is 1",
+        },
+        columns,
+        digits=6,
+    )
+    balanced = [name for name in spectra if name not in UNBALANCED]
+    data = np.array([spectra[name].T.ravel() for name in balanced])
+    mean = data.mean(axis=0)
+    _, singular, axes = np.linalg.svd(data - mean, full_matrices=False)
+    axes = axes * np.sign(axes.sum(axis=1))[:, None]
+    sd = singular / np.sqrt(len(data) - 1)
+    share = 100 * np.cumsum(sd**2) / np.sum(sd**2)
+    columns = {"wavelength": grid}
+    parts = {"mean": mean} | {f"component{k + 1}": sd[k] * axes[k] for k in range(3)}
+    for part, values in parts.items():
+        columns |= {f"{part} {c}": values.reshape(3, -1)[i] for i, c in enumerate("RGB")}
+    write(
+        folder,
+        "generic_camera",
+        common
+        | {
+            "title": "Mean spectral sensitivity of cameras and its three principal components",
+            "citation": f"own principal component analysis of {len(balanced)} cameras of {source}",
+            "note": "each camera was first scaled to a green maximum of 1; the components are unit"
+            " vectors over all channels and wavelengths times the standard deviation of their"
+            f" scores, {', '.join(f'{value:.5g}' for value in sd[:3])}; they hold"
+            f" {', '.join(f'{value:.3g}' for value in share[:3])} % of the variance cumulatively;"
+            f" {' and '.join(UNBALANCED)} are left out, for each of their channels was published"
+            " scaled to 1",
+        },
+        columns,
+        digits=6,
+    )
+
+
+def main(folder):
+    for chapter in (pure_water, constituents, water_types, cameras):
+        chapter(folder)
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]) if len(sys.argv) > 1 else ROOT / "oceaninv" / "data")
