@@ -1,0 +1,117 @@
+"""Mathematics behind `oceaninv.phase`: the Fournier-Forand function and angular quadrature."""
+
+import functools
+import itertools
+import math
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ._numerics import gauss_legendre
+
+SMALLEST_ANGLE = 1e-5  # rad; what lies inside is counted as unscattered, error l^2 * 2e-11
+
+# With u = sin^2(theta/2), delta = D u, s = (slope - 3)/2, phi(delta) = (delta^s - 1)/(delta - 1)
+# the cumulative function of Fournier & Jonasz reads
+#     F(u) = 1 - (1 - u) [phi(D u) - phi(D) u (1 - 2 u)/2],
+# the fraction scattered by less than theta, and 4 pi p = dF/du.  phi is smooth through delta = 1.
+
+
+def ff_phi(x, s):
+    """phi at ln(delta) = x and its derivative with respect to x."""
+    near = jnp.abs(x) < 1.0
+    small = jnp.where(near, x, 0.0)
+    # phi = s h(s x)/h(x) with h(y) = (e^y - 1)/y; h and h' as power series.
+    h, dh = _mean_exponential(small)
+    hs, dhs = _mean_exponential(s * small)
+    phi_near = s * hs / h
+    slope_near = phi_near * (s * dhs / hs - dh / h)
+    big = jnp.where(near, 1.0, x)
+    phi_far = jnp.expm1(s * big) / jnp.expm1(big)
+    slope_far = phi_far * (1 / jnp.expm1(-big) - s / jnp.expm1(-s * big))
+    return jnp.where(near, phi_near, phi_far), jnp.where(near, slope_near, slope_far)
+
+
+def _mean_exponential(y):
+    """(e^y - 1)/y and its derivative, for |y| <= 1."""
+    value, slope = jnp.zeros_like(y), jnp.zeros_like(y)
+    for k in range(17, -1, -1):
+        slope = slope * y + value
+        value = value * y + 1 / float(np.prod(np.arange(1.0, k + 2)))
+    return value, slope
+
+
+def ff_cumulative(u, log_d, s):
+    x = log_d + jnp.log(u)
+    phi, _ = ff_phi(x, s)
+    back, _ = ff_phi(log_d, s)
+    # 1 - phi(s) = delta^s phi(1 - s): no cancellation where little is scattered inside u.
+    small = jnp.exp(s * x) * ff_phi(x, 1 - s)[0]
+    return small + u * phi + (1 - u) * back * u * (1 - 2 * u) / 2
+
+
+def ff_density(u, log_d, s):
+    phi, slope = ff_phi(log_d + jnp.log(u), s)
+    back, _ = ff_phi(log_d, s)
+    return phi - (1 - u) * slope / u + back * (0.5 - 3 * u * (1 - u))
+
+
+def ff_backscatter(log_d, s):
+    return ff_phi(log_d - math.log(2), s)[0] / 2
+
+
+def index_from_slope(slope):
+    return 1.01 + 0.1542 * (slope - 3)
+
+
+def slope_from_backscatter(ratio):
+    """Junge slope of the one-parameter family whose bb/b is `ratio`."""
+
+    def excess(slope, ratio):
+        log_d = math.log(4 / 3) - 2 * jnp.log(index_from_slope(slope) - 1)
+        return ff_backscatter(log_d, (slope - 3) / 2) - ratio
+
+    def halve(_, bracket):
+        low, high = bracket
+        middle = (low + high) / 2
+        above = excess(middle, fixed) > 0
+        return jnp.where(above, low, middle), jnp.where(above, middle, high)
+
+    fixed = jax.lax.stop_gradient(ratio)
+    ends = (jnp.full_like(fixed, 3.0), jnp.full_like(fixed, 5.0))
+    root = sum(jax.lax.fori_loop(0, 60, halve, ends)) / 2
+    root = jax.lax.stop_gradient(root)
+    # One Newton step from the root carries the derivative of the implicit function.
+    return root - excess(root, ratio) / jax.grad(excess)(root, fixed)
+
+
+def log_panels(order: int) -> tuple[float, ...]:
+    """Edges (rad) of panels that resolve a forward peak and P_order: geometric, then even."""
+    even = 2 * max(12, (order + 7) // 8)
+    edges = np.linspace(0, np.pi, even + 1)[1:]
+    steps = math.ceil(math.log(edges[0] / SMALLEST_ANGLE))
+    return (*np.geomspace(SMALLEST_ANGLE, edges[0], steps + 1)[:-1].tolist(), *edges.tolist())
+
+
+@functools.lru_cache(maxsize=64)
+def angular_quadrature(edges: tuple[float, ...]) -> tuple[np.ndarray, np.ndarray]:
+    """16-point Gauss-Legendre nodes and weights in the angle (rad) on each panel."""
+    rules = [gauss_legendre(16, low, high) for low, high in itertools.pairwise(edges)]
+    return np.concatenate([x for x, _ in rules]), np.concatenate([w for _, w in rules])
+
+
+def legendre_sums(half, weights, order: int):
+    """sum of weights * P_l(1 - 2 half) for l = 0 ... order, one compiled recurrence.
+
+    The recurrence runs on differences P_l - P_(l-1), exact where half is tiny.
+    """
+
+    def step(carry, l):
+        value, difference = carry
+        difference = (l * difference - (2 * l + 1) * 2 * half * value) / (l + 1)
+        return (value + difference, difference), jnp.sum(weights * value)
+
+    degrees = jnp.arange(order + 1, dtype=half.dtype)
+    start = (jnp.ones_like(half), jnp.zeros_like(half))
+    return jax.lax.scan(step, start, degrees)[1]
