@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ._numerics import gauss_legendre
+from oceaninv._numerics import gauss_legendre
 
 SMALLEST_ANGLE = 1e-5  # rad; what lies inside is counted as unscattered, error l^2 * 2e-11
 

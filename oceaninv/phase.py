@@ -14,13 +14,14 @@ import math
 from collections.abc import Sequence
 
 import equinox as eqx
-import jax
+import jax.core
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, ScalarLike
 
-from . import _phase_math as _math
-from ._numerics import safe_sqrt
+from oceaninv import _phase_math as _math
+from oceaninv import tables
+from oceaninv._numerics import safe_sqrt
 
 _CAP_DEGREES = 0.1
 
@@ -337,10 +338,8 @@ def petzold() -> Tabulated:
 
     Mean cosine 0.924, bb/b = 0.0183.
     """
-    from . import tables
-
-    table = tables.load("petzold_average_particle")
-    return Tabulated(table["angle_deg"], table["phase_function"])
+    columns = tables.load("Petzold1972").columns
+    return Tabulated(columns["angle"], columns["phase_function"])
 
 
 class Mixture(AbstractPhase):
