@@ -1,1 +1,57 @@
-"""Differentiable inverse rendering under water."""
+"""Differentiable inverse rendering under water.
+
+Constituents -> inherent optical properties -> light field -> what a sensor saw: every arrow is a
+pure, jit-able, differentiable JAX function.
+"""
+
+from oceaninv import attenuation, phase, spectrum, tables, water
+from oceaninv.bio_optics import (
+    CDOM,
+    BioOpticalModel,
+    Constituents,
+    Detritus,
+    Minerals,
+    Phytoplankton,
+    gutierrez2008,
+    jerlov,
+)
+from oceaninv.camera import Camera
+from oceaninv.iops import IOPs, Layers
+from oceaninv.light import Light
+from oceaninv.optics import Rays
+from oceaninv.scene import FlatSurface, Floor, Scene
+from oceaninv.transport.base import Estimate, Irradiance
+from oceaninv.transport.front import irradiance, photograph, radiance
+from oceaninv.transport.kd import KdTransport
+from oceaninv.transport.two_stream import TwoStream
+
+__all__ = [
+    "CDOM",
+    "BioOpticalModel",
+    "Camera",
+    "Constituents",
+    "Detritus",
+    "Estimate",
+    "FlatSurface",
+    "Floor",
+    "IOPs",
+    "Irradiance",
+    "KdTransport",
+    "Layers",
+    "Light",
+    "Minerals",
+    "Phytoplankton",
+    "Rays",
+    "Scene",
+    "TwoStream",
+    "attenuation",
+    "gutierrez2008",
+    "irradiance",
+    "jerlov",
+    "phase",
+    "photograph",
+    "radiance",
+    "spectrum",
+    "tables",
+    "water",
+]

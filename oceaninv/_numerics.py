@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-_TERMS = 24
+_TERMS = 13
 
 
 @functools.partial(jax.custom_jvp, nondiff_argnums=(0,))
@@ -15,19 +15,22 @@ def exp_moment(n: int, x: Float[Array, "..."]) -> Float[Array, "..."]:
     """I_n(x) = integral of s^n e^(-x s) over 0 <= s <= 1, for x >= 0.
 
     I_0(x) = (1 - e^-x)/x with I_0(0) = 1.  The derivative is -I_(n+1), so every derivative of
-    every order is as accurate as the value.  Relative accuracy a few ulp.
+    every order is as accurate as the value.  Relative accuracy a few ulp times 6^n.
     """
-    small = x < n + 1.0
+    # I_0 needs no series: expm1 is exact down to the smallest numbers.
+    small = x < (0.5 if n else float(np.finfo(x.dtype).tiny))
+    high = jnp.where(small, 1.0, x)
+    value = -jnp.expm1(-high) / high
+    for order in range(1, n + 1):
+        value = (order * value - jnp.exp(-high)) / high
+    if n == 0:
+        return jnp.where(small, 1.0, value)
     # I_n = e^-x sum_k x^k / ((n+1)...(n+k+1)): positive terms, hence no cancellation.
     low = jnp.where(small, x, 0.0)
-    series = jnp.full_like(low, 1.0 / np.prod([n + 1.0 + k for k in range(_TERMS + 1)]))
-    for k in range(_TERMS - 1, -1, -1):
-        series = series * low + 1.0 / float(np.prod([n + 1.0 + j for j in range(k + 1)]))
-    high = jnp.where(small, n + 1.0, x)
-    upward = -jnp.expm1(-high) / high
-    for order in range(1, n + 1):
-        upward = (order * upward - jnp.exp(-high)) / high
-    return jnp.where(small, jnp.exp(-low) * series, upward)
+    series = jnp.ones_like(low)
+    for k in range(_TERMS, 0, -1):
+        series = 1.0 + series * low / (n + k + 1.0)
+    return jnp.where(small, jnp.exp(-low) * series / (n + 1.0), value)
 
 
 @exp_moment.defjvp

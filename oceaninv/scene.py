@@ -1,0 +1,103 @@
+"""A scene: water, light, and what bounds the water.  A term that is None does not exist."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from oceaninv.iops import IOPs, Layers, check_concrete
+from oceaninv.light import Light
+from oceaninv.optics import fresnel_from_air, refracted_cosine
+
+
+class FlatSurface(eqx.Module):
+    """A calm air-water interface.  `index`: refractive index of the water, >= 1."""
+
+    index: Float[Array, ""]
+
+    def __init__(self, index=1.34):
+        check_concrete("index", index, 1.0, 2.0)
+        self.index = jnp.asarray(index, dtype=jnp.result_type(float, index))
+
+
+class Floor(eqx.Module):
+    """A horizontal Lambertian floor.
+
+    **Arguments:**
+
+    - `depth`: metres, > 0.
+    - `reflectance`: (wl,) between 0 and 1.
+    """
+
+    depth: Float[Array, ""]
+    reflectance: Float[Array, " wl"]
+
+    def __init__(self, depth, reflectance):
+        check_concrete("depth", depth, np.finfo(np.float32).tiny)
+        check_concrete("reflectance", reflectance, 0.0, 1.0)
+        self.reflectance = jnp.asarray(reflectance)
+        self.depth = jnp.asarray(depth, dtype=self.reflectance.dtype)
+
+
+class Scene(eqx.Module):
+    """Horizontally uniform water under a sun, with or without a surface and a floor.
+
+    **Arguments:**
+
+    - `water`: `IOPs`, or `Layers` of them.
+    - `light`: the sun and sky; its spectra are on the water's wavelengths.
+    - `surface`: `FlatSurface` or `None` (light enters unrefracted, nothing is reflected back).
+    - `floor`: `Floor` or `None` (endlessly deep water).
+
+    Spectra whose length differs from the water's wavelengths raise ValueError.
+    """
+
+    water: IOPs | Layers
+    light: Light
+    surface: FlatSurface | None
+    floor: Floor | None
+
+    def __init__(self, water, light, surface=None, floor=None):
+        n = len(water.wavelength)
+        for name, value in (
+            ("light.direct", light.direct),
+            ("floor.reflectance", None if floor is None else floor.reflectance),
+        ):
+            if value is not None and value.shape != (n,):
+                raise ValueError(
+                    f"{name} must have one value per wavelength of the water, shape ({n},), "
+                    f"not {value.shape}."
+                )
+        self.water = water
+        self.light = light
+        self.surface = surface
+        self.floor = floor
+
+    @property
+    def wavelength(self) -> np.ndarray:
+        """(wl,) vacuum nm."""
+        return self.water.wavelength
+
+    def beam(self) -> tuple[Float[Array, ""], Float[Array, " wl"]]:
+        """The sunbeam just below the surface: (cosine of its zenith, irradiance normal to it)."""
+        cos_air = self.light.cosine
+        if self.surface is None:
+            return cos_air, self.light.direct
+        index = self.surface.index.astype(cos_air.dtype)
+        cos_water = refracted_cosine(cos_air, index)
+        transmitted = 1.0 - fresnel_from_air(cos_air, index)
+        return cos_water, self.light.direct * (transmitted * cos_air / cos_water)
+
+    def check_depths(self, depths) -> None:
+        """ValueError if a concrete depth lies above the surface or below the floor."""
+        check_concrete("depths", depths)
+        if self.floor is None or isinstance(depths, jax.core.Tracer):
+            return
+        if isinstance(self.floor.depth, jax.core.Tracer):
+            return
+        deepest = float(np.max(np.asarray(depths)))
+        if deepest > float(self.floor.depth) * (1 + 1e-6):
+            raise ValueError(
+                f"depths reach {deepest:g} m, below the floor at {float(self.floor.depth):g} m."
+            )

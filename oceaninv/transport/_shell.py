@@ -1,0 +1,225 @@
+"""Radiance along a ray whose source is a sum of exponentials of depth, in closed form.
+
+The diffuse light field of the closed-form transports is written, at depth z, as
+
+    scalar irradiance  E(z) = e.decay e^(-K z) + e.beam e^(-k0 z) + e.mixed g(z) + e.grow e^(-K (T - z))
+    net downward flux  F(z) = the same with f's coefficients,
+    g(z) = (e^(-k0 z) - e^(-K z)) / (k0 - K),
+
+the pair (E, F) being the first two angular moments of the diffuse radiance.  The multiply
+scattered source is then (b* E + 3 mu b* g F)/(4 pi), and its integral along a straight ray is
+elementary.  Written with g, nothing is singular where the diffuse and the beam attenuation agree
+(K = k0), nor where a ray runs along the sunbeam.
+"""
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from oceaninv._numerics import exp_mean, exp_mean3, safe_sqrt
+from oceaninv.iops import IOPs
+from oceaninv.optics import Rays, fresnel_from_water, scattering_cosine
+from oceaninv.scene import Scene
+
+# A ray without end: far longer than any water is clear, yet its square fits in float32.
+ENDLESS = 1e9
+# Directions closer to the horizon than this are treated as if this far from it.
+_HORIZON = 1e-3
+# Angular scale (twice the sine of half the angle) below which scattering does not soften the beam.
+_AUREOLE = 0.138
+
+
+class Scaled(eqx.Module):
+    """Delta-scaled water: the share chi_2 of scattering counts as unscattered light (1/m)."""
+
+    c: Float[Array, " wl"]
+    c_star: Float[Array, " wl"]
+    b_star: Float[Array, " wl"]
+    bg_star: Float[Array, " wl"]
+    forward: Float[Array, " wl"]
+
+    def __init__(self, water: IOPs):
+        moments = water.scattering_moments(2)
+        b, first, second = moments[0], moments[1], moments[2]
+        self.c = water.a + b
+        self.b_star = b - second
+        self.bg_star = first - second
+        self.c_star = water.a + self.b_star
+        clear = b <= 0
+        share = jnp.where(clear, 0.0, second / jnp.where(clear, 1.0, b))
+        self.forward = b * jnp.minimum(share, 0.995)
+
+
+class Terms(eqx.Module):
+    """Coefficients of one moment of the diffuse field; a term that is None does not exist."""
+
+    decay: Float[Array, " wl"]
+    beam: Float[Array, " wl"] | None = None
+    mixed: Float[Array, " wl"] | None = None
+    grow: Float[Array, " wl"] | None = None
+
+    def __call__(self, decay, beam, mixed, grow) -> Float[Array, "..."]:
+        """The sum of the terms that exist, given the value of each basis function."""
+        total = self.decay * decay()
+        for coefficient, basis in ((self.beam, beam), (self.mixed, mixed), (self.grow, grow)):
+            if coefficient is not None:
+                total = total + coefficient * basis()
+        return total
+
+
+class Field(eqx.Module):
+    """A diffuse light field with the beam that feeds it.
+
+    `K`: diffuse attenuation, `k0`: beam attenuation with depth (both 1/m); `e`, `f`: moments;
+    `bottom`: depth of the floor or None.
+    """
+
+    water: Scaled
+    K: Float[Array, " wl"]
+    k0: Float[Array, " wl"]
+    mu0: Float[Array, ""]
+    beam: Float[Array, " wl"]
+    e: Terms
+    f: Terms
+    bottom: Float[Array, ""] | None
+
+    def moments(self, z: Float[Array, " depth"]):
+        """E and F of the diffuse light at depths z, each (depth, wl)."""
+        z = z[:, None]
+        k, k0 = self.K[None, :], self.k0[None, :]
+        basis = (
+            lambda: jnp.exp(-k * z),
+            lambda: jnp.exp(-k0 * z),
+            lambda: -z * exp_mean(k * z, k0 * z),
+            lambda: jnp.exp(-k * (self.bottom - z)),
+        )
+        return _rows(self.e)(*basis), _rows(self.f)(*basis)
+
+    def direct(self, z: Float[Array, " depth"]) -> Float[Array, "depth wl"]:
+        """Irradiance normal to the (softened) sunbeam at depths z."""
+        return self.beam[None, :] * jnp.exp(-self.k0[None, :] * z[:, None])
+
+
+def _rows(tree):
+    """The same terms with a leading axis for depths or rays."""
+    if isinstance(tree, Terms):
+        return Terms(
+            *(
+                None if x is None else x[None, :]
+                for x in (tree.decay, tree.beam, tree.mixed, tree.grow)
+            )
+        )
+    return tree[None, :]
+
+
+def _source_integral(field: Field, scene: Scene, z, rays_down, cosine, looking_down: bool):
+    """In-scattered radiance along rays that run to the floor (or for ever) or to the surface.
+
+    `z` (ray, 1): starting depths; `rays_down` (ray, 1): change of depth per metre of ray, of the
+    sign that `looking_down` says; `cosine` (ray,): of the scattering angle.  Returns radiance and
+    the softened transmittance of the whole ray, both (ray, wl).
+    """
+    k, k0, mu0 = field.K[None, :], field.k0[None, :], field.mu0
+    water = field.water
+    c_star = water.c_star[None, :]
+    if not looking_down:
+        length, end = -z / rays_down, jnp.zeros_like(z)
+    elif field.bottom is None:
+        length, end = jnp.full_like(z, ENDLESS), z + ENDLESS * rays_down
+    else:
+        length, end = (field.bottom - z) / rays_down, jnp.broadcast_to(field.bottom, z.shape)
+
+    def along(rate):
+        return length * exp_mean(rate * z, rate * end + c_star * length)
+
+    def mixed():
+        if not looking_down:
+            return -length * z * exp_mean3(k * z, k0 * z, c_star * length)
+        start = -z * exp_mean(k * z, k0 * z)
+        if field.bottom is not None:
+            at_floor = end * exp_mean(k * end, k0 * end)
+            start = start + jnp.exp(-c_star * length) * at_floor
+        return (start - rays_down * along(k)) / (c_star + k0 * rays_down)
+
+    basis = (
+        lambda: along(k),
+        lambda: along(k0),
+        mixed,
+        lambda: (
+            length * exp_mean(k * (field.bottom - z), k * (field.bottom - end) + c_star * length)
+        ),
+    )
+    isotropic = water.b_star[None, :] * _rows(field.e)(*basis)
+    forward = -3.0 * rays_down * water.bg_star[None, :] * _rows(field.f)(*basis)
+    multiple = (isotropic + forward) / (4.0 * jnp.pi)
+
+    # Single scattering keeps the true phase function; light turned through a small angle is not
+    # softened by scattering through larger ones.
+    half_sine = safe_sqrt(0.5 * (1.0 - cosine))
+    softening = -jnp.expm1(-2.0 * half_sine / _AUREOLE)
+    c_single = water.c[None, :] - water.forward[None, :] * softening[:, None]
+    single = (
+        scene.water.volume_scattering(cosine)
+        * field.beam[None, :]
+        * length
+        * exp_mean(z * c_single / mu0, (end / mu0 + length) * c_single)
+    )
+    return multiple + single, jnp.exp(-c_star * length)
+
+
+def _endless(field: Field, scene: Scene, floor_radiance, z, direction):
+    """Radiance of rays that end at the floor, at the surface or never, (ray, wl).  z: (ray,)."""
+    steep = jnp.maximum(jnp.abs(direction[:, 2]), _HORIZON)[:, None]
+    down = direction[:, 2] >= 0
+    depth = z[:, None]
+    cosine = scattering_cosine(direction, field.mu0)
+    if scene.surface is None:
+        mirrored_depth, mirrored_cosine = depth, cosine
+    else:
+        # Rays that look up see the water from below, mirrored in the surface: one evaluation
+        # serves them (from depth 0) and the rays that look down.
+        mirrored = jnp.concatenate([direction[:, :2], steep], axis=1)
+        mirrored_cosine = scattering_cosine(mirrored, field.mu0)
+        mirrored_depth = jnp.where(down[:, None], depth, 0.0)
+    below, transmitted = _source_integral(
+        field, scene, mirrored_depth, steep, mirrored_cosine, True
+    )
+    if floor_radiance is not None:
+        below = below + floor_radiance[None, :] * transmitted
+    above, transmitted = _source_integral(field, scene, depth, -steep, cosine, False)
+    sky = scene.light.diffuse
+    if scene.surface is None:
+        if sky is not None:
+            above = above + sky[None, :] * transmitted
+    else:
+        index = scene.surface.index.astype(z.dtype)
+        reflectance = fresnel_from_water(steep, index)
+        seen = reflectance * below
+        if sky is not None:
+            seen = seen + (1.0 - reflectance) * index**2 * sky[None, :]
+        above = above + seen * transmitted
+    return jnp.where(down[:, None], below, above)
+
+
+def radiance(
+    field: Field, scene: Scene, rays: Rays, floor_radiance: Float[Array, " wl"] | None
+) -> Float[Array, "ray wl"]:
+    """Radiance along rays; a finite ray gathers the light scattered into it on the way.
+
+    A finite ray follows from the exact identity A(P) = L(z) - e^(-c P) L(z + d P), whose c is
+    NOT softened: light scattered forward into the ray is light that arrives.
+    """
+    z, direction = rays.origin[:, 2], rays.direction
+    if rays.length is None:
+        return _endless(field, scene, floor_radiance, z, direction)
+    end = z + rays.length * direction[:, 2]
+    ended = end >= 0
+    if field.bottom is not None:
+        ended = ended & (end <= field.bottom)
+    # Both ends of every ray in one evaluation: half the program to compile.
+    ends = jnp.concatenate([z, jnp.where(ended, end, z)])
+    both = jnp.concatenate([direction, direction])
+    whole, beyond = jnp.split(_endless(field, scene, floor_radiance, ends, both), 2)
+    length = jnp.where(ended, rays.length, 0.0)
+    transmitted = jnp.exp(-field.water.c[None, :] * length[:, None])
+    return jnp.where(ended[:, None], whole - transmitted * beyond, whole)

@@ -1,0 +1,58 @@
+"""What every transport answers, and in which form."""
+
+import abc
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Key
+
+from oceaninv.optics import Rays
+from oceaninv.scene import Scene
+
+
+class Estimate(eqx.Module):
+    """A computed quantity with what is known of its error.
+
+    - `value`: the quantity.
+    - `stderr`: standard error of a random estimate; 0 for a deterministic one.
+    - `bias`: bound on what was neglected or truncated; nan where no bound is known.
+    """
+
+    value: Float[Array, "..."]
+    stderr: Float[Array, "..."]
+    bias: Float[Array, "..."]
+
+
+def deterministic(value: Float[Array, "..."]) -> Estimate:
+    """An estimate without random error and without a bound on its bias."""
+    return Estimate(value, jnp.zeros_like(value), jnp.full_like(value, jnp.nan))
+
+
+class Irradiance(eqx.Module):
+    """Irradiances at depths, each an `Estimate` of shape (depth, wl), in the light's unit.
+
+    - `Ed`, `Eu`: downward and upward plane irradiance.
+    - `E0`: scalar irradiance (all directions).
+    """
+
+    Ed: Estimate
+    Eu: Estimate
+    E0: Estimate
+
+
+class AbstractTransport(eqx.Module):
+    """A model of the light field: the numbers it holds are its fidelity.
+
+    Subclasses are final; call them through the front ends `radiance`, `irradiance` and
+    `photograph`, which check their input.
+    """
+
+    @abc.abstractmethod
+    def radiance(self, scene: Scene, rays: Rays, key: Key[Array, ""] | None) -> Estimate:
+        """Radiance that reaches the eye along each ray, (ray, wl); see `oceaninv.radiance`."""
+
+    @abc.abstractmethod
+    def irradiance(
+        self, scene: Scene, depths: Float[Array, " depth"], key: Key[Array, ""] | None
+    ) -> Irradiance:
+        """Irradiances at depths; see `oceaninv.irradiance`."""

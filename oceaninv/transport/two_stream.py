@@ -1,0 +1,157 @@
+"""The two-stream rung: a closed form from a and b, the default of the toolkit."""
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Key
+
+from oceaninv._numerics import exp_mean
+from oceaninv.attenuation import irradiance_reflectance
+from oceaninv.iops import IOPs
+from oceaninv.optics import Rays, diffuse_reflectance
+from oceaninv.scene import Scene
+from oceaninv.transport._shell import Field, Scaled, Terms, radiance
+from oceaninv.transport.base import AbstractTransport, Estimate, Irradiance, deterministic
+
+_ROOT3 = 3.0**0.5
+
+
+class TwoStream(AbstractTransport):
+    """Delta-Eddington two-stream field as the source of a closed-form ray integral.
+
+    - **Solves**: homogeneous water, deep or over a Lambertian floor, with or without a flat
+      surface, sun and uniform sky; single scattering with the true phase function, multiple
+      scattering from the two-stream field, both legs of the path delta-scaled by chi_2.
+    - **Neglects**: azimuth dependence and angular detail of multiply scattered light; the sun's
+      own disc; layers (ValueError).
+    - **Cost**: O(1) per ray and wavelength, about 10 exponentials.
+    - **Measured error** (`tests/test_two_stream.py`): radiance median 6 %, 90th percentile 22 %
+      beyond 20 degrees of the refracted sun; Ed median 1.4 % to the 1 % light level under the
+      sun alone, 14 % when a bright sky adds to it.
+    - **Differentiable in** everything, forward and reverse.  In endlessly deep water the true
+      derivative in a is infinite at a = 0; it is finite here.
+
+    Upward irradiance does not come from the two-stream field (it would be a third too bright)
+    but from a fit of R = Eu/Ed plus the light that the floor sends up.
+    """
+
+    def radiance(self, scene: Scene, rays: Rays, key: Key[Array, ""] | None = None) -> Estimate:
+        """See `oceaninv.radiance`."""
+        field = solve(scene)
+        floor_radiance = None
+        if scene.floor is not None:
+            at_floor = _downward(field, scene.floor.depth[None])[0]
+            floor_radiance = scene.floor.reflectance * at_floor / jnp.pi
+        return deterministic(radiance(field, scene, rays, floor_radiance))
+
+    def irradiance(
+        self, scene: Scene, depths: Float[Array, " depth"], key: Key[Array, ""] | None = None
+    ) -> Irradiance:
+        """See `oceaninv.irradiance`."""
+        field = solve(scene)
+        down = _downward(field, depths)
+        scalar = field.moments(depths)[0] + field.direct(depths)
+        up = _upward(field, scene, depths, down)
+        return Irradiance(deterministic(down), deterministic(up), deterministic(scalar))
+
+
+def _downward(field: Field, depths: Float[Array, " depth"]) -> Float[Array, "depth wl"]:
+    e, f = field.moments(depths)
+    return 0.5 * (e / _ROOT3 + f) + field.mu0 * field.direct(depths)
+
+
+def _upward(field: Field, scene: Scene, depths, down):
+    assert isinstance(scene.water, IOPs)
+    a, bb = scene.water.a, scene.water.bb
+    reflectance = irradiance_reflectance(a, bb, field.mu0)[None, :]
+    if scene.floor is None:
+        return reflectance * down
+    # The water between here and the floor shows less than endless water; the floor shows through.
+    floor = scene.floor
+    at_floor = _downward(field, floor.depth[None])
+    back = jnp.exp(-(a + bb)[None, :] / 0.5 * (floor.depth - depths)[:, None])
+    return reflectance * (down - at_floor * back) + floor.reflectance[None, :] * at_floor * back
+
+
+def _attenuation(squared: Float[Array, " wl"]) -> Float[Array, " wl"]:
+    """K from K^2.  The root's own slope at 0 is infinite while every sum of e^(-Kz) and
+    e^(-K(T-z)) over a floor is regular in K^2: a tiny offset that dies off quickly keeps both
+    value and derivative right without touching any K that water can have."""
+    tiny = float(np.finfo(squared.dtype).eps) ** 0.75
+    return jnp.sqrt(squared + tiny / (1.0 + (squared / 1e-4) ** 2))
+
+
+def solve(scene: Scene) -> Field:
+    """The two-stream field of a scene with one homogeneous water."""
+    if not isinstance(scene.water, IOPs):
+        raise ValueError(
+            "this closed form solves one homogeneous water; use PlaneParallel for Layers."
+        )
+    water = Scaled(scene.water)
+    a = scene.water.a
+    mu0, beam = scene.beam()
+    # Transport coefficient a + b (1 - chi_1): positive unless the water is a vacuum.
+    spread = jnp.maximum(water.c_star - water.bg_star, float(np.finfo(a.dtype).tiny) ** 0.5)
+    K = _attenuation(3.0 * a * spread)
+    k0 = water.c_star / mu0
+    ratio = K / (3.0 * spread)
+    drive = -3.0 * beam * (water.b_star * water.c_star + water.bg_star * a)
+    mixed = drive / jnp.maximum(k0 + K, float(np.finfo(a.dtype).tiny) ** 0.5)
+    # ws F0/k0 and N/k0 with the common factor c* cancelled: c* may be 0.
+    empty = water.c_star <= 0
+    per_k0 = mu0 * jnp.where(empty, 0.0, 1.0 / jnp.where(empty, 1.0, water.c_star))
+    flux_beam = -ratio * mixed * per_k0 - water.b_star * beam * per_k0
+
+    dtype = a.dtype
+    inner = outer = jnp.zeros((), dtype)
+    if scene.surface is not None:
+        outer, inner = diffuse_reflectance(scene.surface.index.astype(dtype))
+    top_e, top_f = 1.0 - inner, _ROOT3 * (1.0 + inner)
+    entering = -top_f * flux_beam
+    if scene.light.diffuse is not None:
+        entering = entering + 2.0 * jnp.pi * _ROOT3 * (1.0 - outer) * scene.light.diffuse
+
+    bottom = None
+    growing = None
+    if scene.floor is None:
+        decaying = entering / (top_e + top_f * ratio)
+    else:
+        bottom = scene.floor.depth
+        decaying, growing = _over_floor(
+            scene.floor, K, k0, mu0, ratio, beam, mixed, flux_beam, top_e, top_f, entering
+        )
+    return Field(
+        water=water,
+        K=K,
+        k0=k0,
+        mu0=mu0,
+        beam=beam,
+        e=Terms(decaying, None, mixed, growing),
+        f=Terms(
+            ratio * decaying,
+            flux_beam,
+            ratio * mixed,
+            None if growing is None else -ratio * growing,
+        ),
+        bottom=bottom,
+    )
+
+
+def _over_floor(floor, K, k0, mu0, ratio, beam, mixed, flux_beam, top_e, top_f, entering):
+    """Amplitudes of the decaying and the growing exponential between surface and floor."""
+    depth, rho = floor.depth, floor.reflectance
+    across = jnp.exp(-K * depth)
+    sun = jnp.exp(-k0 * depth)
+    pair = -depth * exp_mean(K * depth, k0 * depth)
+    floor_e, floor_f = 1.0 - rho, _ROOT3 * (1.0 + rho)
+    returned = (
+        2.0 * _ROOT3 * rho * mu0 * beam * sun
+        - floor_e * mixed * pair
+        + floor_f * (ratio * mixed * pair + flux_beam * sun)
+    )
+    a11, a12 = top_e + top_f * ratio, (top_e - top_f * ratio) * across
+    a21, a22 = (floor_e - floor_f * ratio) * across, floor_e + floor_f * ratio
+    determinant = a11 * a22 - a12 * a21
+    return (
+        (entering * a22 - a12 * returned) / determinant,
+        (a11 * returned - a21 * entering) / determinant,
+    )
