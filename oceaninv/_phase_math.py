@@ -65,6 +65,7 @@ def index_from_slope(slope):
     return 1.01 + 0.1542 * (slope - 3)
 
 
+@jax.jit
 def slope_from_backscatter(ratio):
     """Junge slope of the one-parameter family whose bb/b is `ratio`."""
 
@@ -115,3 +116,58 @@ def legendre_sums(half, weights, order: int):
     degrees = jnp.arange(order + 1, dtype=half.dtype)
     start = (jnp.ones_like(half), jnp.zeros_like(half))
     return jax.lax.scan(step, start, degrees)[1]
+
+
+def hg_backscatter(g):
+    """bb/b of the Henyey-Greenstein function, regular at g = 0; numpy or JAX."""
+    root = (1 + g**2) ** 0.5
+    return (1 - g) / (root * (1 + g + root))
+
+
+_STEEPEST = 0.99999
+
+
+def two_term_parameters(cosine, log_target, mean: float, back: float):
+    """(g1, g2, weight) with mean cosine `mean`, bb/b `back`, nearest to `log_target` (numpy)."""
+    excess = back - hg_backscatter(mean)
+    if excess < -1e-6:
+        raise ValueError(
+            f"phase scatters bb/b = {back:.6f} backwards, less than the {hg_backscatter(mean):.6f}"
+            f" of a Henyey-Greenstein function with its mean cosine {mean:.6f}; no two-term"
+            " function of non-negative weights has both.  Use the phase function itself."
+        )
+    if excess < 1e-6:
+        return mean, 0.0, 1.0
+    # Nested grids of g2; a grid of 201 narrows the bracket a hundredfold.
+    low, high = -0.99, mean
+    found = (mean, 0.0, 1.0)
+    for _ in range(5):
+        g2 = np.linspace(low, high, 203)[1:-1]
+        g1 = _first_asymmetry(g2, mean, back)
+        weight = (mean - g2) / (g1 - g2)
+        first, second = (_hg(g[:, None], cosine[None, :]) for g in (g1, g2))
+        model = weight[:, None] * first + (1 - weight)[:, None] * second
+        misfit = np.mean((np.log(model) - log_target[None, :]) ** 2, axis=1)
+        best = int(np.argmin(np.where(g1 < _STEEPEST, misfit, np.inf)))
+        found = (float(g1[best]), float(g2[best]), float(weight[best]))
+        low, high = g2[max(best - 1, 0)], g2[min(best + 1, len(g2) - 1)]
+    return found
+
+
+def _first_asymmetry(g2, mean, back):
+    """g1 of the chord from (g2, bb/b(g2)) through (mean, back) to the one-term curve beyond it.
+
+    The moments of a mixture are mixtures of moments, so that (mean, bb/b) lies on that chord; the
+    curve is convex for g > 0, hence met once.
+    """
+    slope = (back - hg_backscatter(g2)) / (mean - g2)
+    low, high = np.full_like(g2, mean), np.full_like(g2, _STEEPEST)
+    for _ in range(60):
+        middle = (low + high) / 2
+        above = back + slope * (middle - mean) > hg_backscatter(middle)
+        low, high = np.where(above, middle, low), np.where(above, high, middle)
+    return high
+
+
+def _hg(g, cosine):
+    return (1 - g**2) / (4 * np.pi * (1 + g**2 - 2 * g * cosine) ** 1.5)

@@ -14,6 +14,7 @@ import math
 from collections.abc import Sequence
 
 import equinox as eqx
+import jax
 import jax.core
 import jax.numpy as jnp
 import numpy as np
@@ -89,8 +90,7 @@ class HenyeyGreenstein(AbstractPhase):
 
     @property
     def backscatter_ratio(self) -> Float[Array, ""]:
-        root = jnp.sqrt(1 + self.g**2)
-        return (1 - self.g) / (root * (1 + self.g + root))
+        return _math.hg_backscatter(self.g)
 
 
 class TwoTermHenyeyGreenstein(AbstractPhase):
@@ -122,6 +122,26 @@ class TwoTermHenyeyGreenstein(AbstractPhase):
     def backscatter_ratio(self) -> Float[Array, ""]:
         first, second = HenyeyGreenstein(self.g1), HenyeyGreenstein(self.g2)
         return self._mix(first.backscatter_ratio, second.backscatter_ratio)
+
+
+def fit_two_term(phase: AbstractPhase) -> TwoTermHenyeyGreenstein:
+    """The two-term function with the same mean cosine and bb/b as a concrete `phase`.
+
+    Of all that match both exactly, the one with the least rms difference of ln p over 5-175
+    degrees, evenly in angle.  That difference is 0.13 (0.6 at most, at 5 degrees) for `petzold()`
+    and 0.10-0.14 for Fournier-Forand functions of bb/b 0.005-0.1; chi_2 comes out 0.0007-0.008 low.
+    Within 5 degrees the measured peak is not reproduced.
+
+    Raises ValueError where no mixture can match: bb/b below that of the one-term function.
+    """
+    angles = np.linspace(5.0, 175.0, 86)
+    cosine = np.cos(np.radians(angles))
+    with jax.ensure_compile_time_eval():
+        dtype = phase.moments(1).dtype
+        target = np.log(np.asarray(phase(jnp.asarray(cosine, dtype)), float))
+        mean, back = float(phase.asymmetry), float(phase.backscatter_ratio)
+    g1, g2, weight = _math.two_term_parameters(cosine, target, mean, back)
+    return TwoTermHenyeyGreenstein(*(jnp.asarray(v, dtype) for v in (g1, g2, weight)))
 
 
 class Seawater(AbstractPhase):
@@ -188,6 +208,7 @@ class FournierForand(AbstractPhase):
                 f"backscatter_ratio={backscatter_ratio}, index={index}, slope={slope}."
             )
 
+    @eqx.filter_jit
     def __call__(self, cos_theta: Float[Array, "..."]) -> Float[Array, "..."]:
         shape = self._shape(cos_theta.dtype)
         half = (1 - cos_theta) / 2  # sin^2(theta/2)
@@ -198,6 +219,7 @@ class FournierForand(AbstractPhase):
         outside = _math.ff_density(jnp.clip(half, cap, 1.0), *shape) / (4 * np.pi)
         return jnp.where(half < cap, cone_mean, outside)
 
+    @eqx.filter_jit
     def moments(self, order: int) -> Float[Array, " moment"]:
         angles, weights = _math.angular_quadrature(_math.log_panels(order))
         shape = self._shape(self.index.dtype)
@@ -208,6 +230,7 @@ class FournierForand(AbstractPhase):
         return _math.legendre_sums(half, measure * _math.ff_density(half, *shape), order) + forward
 
     @property
+    @eqx.filter_jit
     def backscatter_ratio(self) -> Float[Array, ""]:
         return _math.ff_backscatter(*self._shape(self.index.dtype))
 
@@ -258,8 +281,9 @@ class Tabulated(AbstractPhase):
                 "integrable phase function needs an exponent below 2."
             )
         if normalise:
-            self.log_values = self.log_values - jnp.log(self.moments(0)[0])
+            self.log_values = _normalised(self)
 
+    @eqx.filter_jit
     def __call__(self, cos_theta: Float[Array, "..."]) -> Float[Array, "..."]:
         half = jnp.clip((1 - cos_theta) / 2, 0.0, 1.0)
         theta = 2 * jnp.arctan2(safe_sqrt(half), safe_sqrt(1 - half))
@@ -270,21 +294,17 @@ class Tabulated(AbstractPhase):
         cone_mean = cone / (4 * np.pi * math.sin(cap / 2) ** 2)
         return jnp.where(theta < cap, cone_mean, jnp.exp(self._log_at(jnp.maximum(theta, cap))))
 
+    @eqx.filter_jit
     def moments(self, order: int) -> Float[Array, " moment"]:
-        dtype = self.log_values.dtype
-        angles, weights = _math.angular_quadrature(self._panels(order))
-        half = jnp.asarray(np.sin(angles / 2) ** 2, dtype)
-        measure = jnp.asarray(2 * np.pi * weights * np.sin(angles), dtype)
-        density = jnp.exp(self._log_at(jnp.asarray(angles, dtype)))
-        return _math.legendre_sums(half, measure * density, order) + self._tail(dtype)
+        angles, measure = self._measure(order)
+        half = jnp.asarray(np.sin(angles / 2) ** 2, measure.dtype)
+        return _math.legendre_sums(half, measure, order) + self._tail()
 
     @property
+    @eqx.filter_jit
     def backscatter_ratio(self) -> Float[Array, ""]:
-        dtype = self.log_values.dtype
-        angles, weights = _math.angular_quadrature(self._panels(0))
-        weights = np.where(angles > np.pi / 2, 2 * np.pi * weights * np.sin(angles), 0.0)
-        density = jnp.exp(self._log_at(jnp.asarray(angles, dtype)))
-        return jnp.sum(jnp.asarray(weights, dtype) * density)
+        angles, measure = self._measure(0)
+        return jnp.sum(measure[angles > np.pi / 2])
 
     def _cap(self) -> float:
         """Half-angle (rad) of the forward cone in which the mean is returned; 0 for none."""
@@ -292,7 +312,7 @@ class Tabulated(AbstractPhase):
 
     def _coordinate(self, theta):
         """log(theta), continued linearly (once differentiably) below the first positive angle."""
-        first = float(np.radians(next(angle for angle in self.angle_deg if angle > 0)))
+        first = math.radians(next(angle for angle in self.angle_deg if angle > 0))
         if self.angle_deg[0] > 0:
             return jnp.log(theta)
         beyond = jnp.log(jnp.maximum(theta, first))
@@ -308,29 +328,41 @@ class Tabulated(AbstractPhase):
         t = (at - knots[i]) / (knots[i + 1] - knots[i])
         return values[i] + t * (values[i + 1] - values[i])
 
+    def _measure(self, order: int):
+        """Quadrature angles (rad) and 2 pi p sin(theta) times the weights."""
+        start = 0.0 if self.angle_deg[0] == 0 else _math.SMALLEST_ANGLE
+        own = [float(a) for a in np.radians(self.angle_deg) if a > start]
+        edges = tuple(sorted({start, *own, *_math.log_panels(order)[1:]}))
+        angles, weights = _math.angular_quadrature(edges)
+        dtype = self.log_values.dtype
+        solid = jnp.asarray(2 * np.pi * weights * np.sin(angles), dtype)
+        return angles, solid * jnp.exp(self._log_at(jnp.asarray(angles, dtype)))
+
     def _forward_exponent(self):
         """m of p ~ theta^-m below the first angle."""
-        run = float(np.log(self.angle_deg[1] / self.angle_deg[0]))
+        run = math.log(self.angle_deg[1] / self.angle_deg[0])
         return (self.log_values[0] - self.log_values[1]) / run
 
     def _forward_fraction(self, theta: float, dtype):
         """Exact integral of the power law over the cone of half-angle theta <= first angle."""
         m = self._forward_exponent().astype(dtype)
-        first = float(np.radians(self.angle_deg[0]))
+        first = math.radians(self.angle_deg[0])
         scale = jnp.exp(self.log_values[0].astype(dtype) - m * math.log(theta / first))
         # sin t = t - t^3/6 + t^5/120, each term integrated against t^-m.
         series = 1 / (2 - m) - theta**2 / 6 / (4 - m) + theta**4 / 120 / (6 - m)
         return 2 * np.pi * theta**2 * scale * series
 
-    def _tail(self, dtype):
+    def _tail(self):
+        dtype = self.log_values.dtype
         if self.angle_deg[0] == 0:
             return jnp.zeros((), dtype)
         return self._forward_fraction(_math.SMALLEST_ANGLE, dtype)
 
-    def _panels(self, order: int) -> tuple[float, ...]:
-        start = 0.0 if self.angle_deg[0] == 0 else _math.SMALLEST_ANGLE
-        own = [a for a in np.radians(self.angle_deg) if a > start]
-        return tuple(sorted({start, *own, *_math.log_panels(order)[1:]}))
+
+@eqx.filter_jit
+def _normalised(phase: Tabulated) -> Float[Array, " angle"]:
+    total = jnp.sum(phase._measure(0)[1]) + phase._tail()
+    return phase.log_values - jnp.log(total)
 
 
 def petzold() -> Tabulated:
@@ -339,7 +371,8 @@ def petzold() -> Tabulated:
     Mean cosine 0.924, bb/b = 0.0183.
     """
     columns = tables.load("Petzold1972").columns
-    return Tabulated(columns["angle"], columns["phase_function"])
+    with jax.ensure_compile_time_eval():
+        return Tabulated(columns["angle"], columns["phase_function"])
 
 
 class Mixture(AbstractPhase):
