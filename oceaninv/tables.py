@@ -5,13 +5,17 @@ import difflib
 import fnmatch
 import functools
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
+from typing import Any
 
-import jax
+import jax.core
 import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
+
+# Whatever numpy takes: `check_wavelength` tells the good from the bad.
+Wavelengths = ArrayLike | Sequence[Any] | float | int
 
 _DATA = Path(__file__).parent / "data"
 _HEADER = ("title", "citation", "units", "range", "note")
@@ -31,7 +35,7 @@ def unknown(kind: str, name: str, known: Iterable[str]) -> ValueError:
     return ValueError(f"{kind} {name!r} is unknown.{hint} Known: {', '.join(known)}.")
 
 
-def check_wavelength(wavelength: ArrayLike) -> Float[np.ndarray, " wl"]:
+def check_wavelength(wavelength: Wavelengths) -> Float[np.ndarray, " wl"]:
     """Wavelengths as a concrete float64 vector.
 
     **Arguments:** `wavelength`: vacuum wavelengths in nm, one-dimensional, not empty, finite,
@@ -102,7 +106,7 @@ class Table:
             raise unknown(f"Column of table {self.name}", name, self.columns)
         return self.columns[name]
 
-    def at(self, wavelength: ArrayLike, column: str) -> Float[np.ndarray, " wl"]:
+    def at(self, wavelength: Wavelengths, column: str) -> Float[np.ndarray, " wl"]:
         """A column interpolated linearly to `wavelength` (nm), never extrapolated.
 
         **Raises:** `ValueError` for an unknown column, for a wavelength outside the table and

@@ -245,7 +245,7 @@ def water_types(folder):
             " table 2, doi:10.1029/2000JC000319",
             "units": "wavelength=nm, Kw=1/m, chi=(1/m)(mg/m3)^-e, e=1",
             "range": "350-700 nm",
-            "note": "Kd = Kw + chi C^e in 1/m, mean over the euphotic layer; C chlorophyll in mg/m3",
+            "note": "Kd = Kw + chi C^e in 1/m, mean over the euphotic layer; C in mg/m3",
         },
         pick(
             read("kd_morel_maritorena_2001"),
@@ -287,7 +287,7 @@ def water_types(folder):
             "note": "a, b total absorption and scattering; Kd0 the attenuation aimed at, Kd the"
             " authors' fit, KdH their radiative-transfer check; flag adds up the numbers of the row"
             " that a later compilation marks as doubtful: 1 Kd0 + 2 Kd + 4 KdH + 8 a + 16 b; b of"
-            " type I lies below that of pure sea water up to 525 nm; no a for 3C from 675 nm and"
+            " type I lies below that of pure sea water up to 550 nm; no a for 3C from 675 nm and"
             " 5C from 600 nm",
         },
         columns,
