@@ -245,7 +245,7 @@ def water_types(folder):
             " table 2, doi:10.1029/2000JC000319",
             "units": "wavelength=nm, Kw=1/m, chi=(1/m)(mg/m3)^-e, e=1",
             "range": "350-700 nm",
-            "note": "Kd = Kw + chi C^e in 1/m, mean over the euphotic layer; C in mg/m3",
+            "note": "Kd = Kw + chi C^e in 1/m, mean over the upper layer; C chlorophyll in mg/m3",
         },
         pick(
             read("kd_morel_maritorena_2001"),
