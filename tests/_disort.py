@@ -45,6 +45,14 @@ def refracted_beam(zenith_deg, index):
     return mu, (1 - fresnel_from_water(mu, index)) * air / mu
 
 
+class _ByMode(np.ndarray):
+    """A (direction, mode) boundary value.  PythonicDISORT 1.8 takes any array with as many entries
+    as there are directions for an azimuthally uniform one before it looks at the shape."""
+
+    def __len__(self):
+        return self.size
+
+
 def _cell_means(mu, weight, index):
     """Reflectance of each node: mean over its cell, weighted by the cosine."""
     edges = np.concatenate([[0.0], np.cumsum(weight)])
@@ -210,7 +218,7 @@ def solve(
             0.0,
             NFourier=modes,
             f_arr=np.array([forward]),
-            b_neg=entering,
+            b_neg=entering.view(_ByMode),
             BDRF_Fourier_modes=[reflectance] if reflectance else [],
             cache_asso_leg="no_mu0",
         )
