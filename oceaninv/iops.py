@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from oceaninv.phase import AbstractPhase
+from oceaninv.phase import AbstractPhase, backscatter_ratio_of, moments_of
 from oceaninv.tables import check_wavelength
 
 
@@ -100,7 +100,7 @@ class IOPs(eqx.Module):
     def bb(self) -> Float[Array, " wl"]:
         """Backscattering coefficient, 1/m."""
         ratios = jnp.stack(
-            [jnp.asarray(p.backscatter_ratio, self.b_components.dtype) for p in self.phases]
+            [jnp.asarray(backscatter_ratio_of(p), self.b_components.dtype) for p in self.phases]
         )
         return ratios @ self.b_components
 
@@ -114,7 +114,7 @@ class IOPs(eqx.Module):
     def scattering_moments(self, order: int) -> Float[Array, "moment wl"]:
         """b times the Legendre moments 0..order of the total phase function, 1/m (no division)."""
         dtype = self.b_components.dtype
-        moments = jnp.stack([jnp.asarray(p.moments(order), dtype) for p in self.phases])
+        moments = jnp.stack([jnp.asarray(moments_of(p, order), dtype) for p in self.phases])
         return moments.T @ self.b_components
 
     def volume_scattering(self, cos_theta: Float[Array, " ray"]) -> Float[Array, "ray wl"]:

@@ -19,6 +19,7 @@ import jax.core
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, ScalarLike
+from numpy.typing import ArrayLike
 
 from oceaninv import _phase_math as _math
 from oceaninv import tables
@@ -252,7 +253,7 @@ class Tabulated(AbstractPhase):
 
     def __init__(
         self,
-        angle_deg: np.ndarray | Sequence[float],
+        angle_deg: ArrayLike,
         values: Float[Array, " angle"] | Float[np.ndarray, " angle"],
         normalise: bool = True,
     ):
@@ -401,18 +402,37 @@ class Mixture(AbstractPhase):
         return self._mix([phase(cos_theta) for phase in self.phases])
 
     def moments(self, order: int) -> Float[Array, " moment"]:
-        return self._mix([p.moments(order).astype(self.weights.dtype) for p in self.phases])
+        dtype = self.weights.dtype
+        return self._mix([moments_of(p, order).astype(dtype) for p in self.phases])
 
     @property
     def backscatter_ratio(self) -> Float[Array, ""]:
-        return self._mix([p.backscatter_ratio.astype(self.weights.dtype) for p in self.phases])
+        dtype = self.weights.dtype
+        return self._mix([backscatter_ratio_of(p).astype(dtype) for p in self.phases])
+
+
+def moments_of(phase: AbstractPhase, order: int) -> Float[Array, " moment"]:
+    """`phase.moments(order)`; a constant of the program, not a part of it, when nothing in the
+    phase function is traced (its quadrature would dominate the compilation of what uses it)."""
+    if not all(map(_concrete, jax.tree.leaves(phase))):
+        return phase.moments(order)
+    with jax.ensure_compile_time_eval():
+        return phase.moments(order)
+
+
+def backscatter_ratio_of(phase: AbstractPhase) -> Float[Array, ""]:
+    """`phase.backscatter_ratio`, a constant of the program when nothing in it is traced."""
+    if not all(map(_concrete, jax.tree.leaves(phase))):
+        return phase.backscatter_ratio
+    with jax.ensure_compile_time_eval():
+        return phase.backscatter_ratio
 
 
 def _concrete(value) -> bool:
     return not isinstance(value, jax.core.Tracer)
 
 
-def _parameter(name: str, value, low: float, high: float, closed: bool = False) -> Array:
+def _parameter(name: str, value, low, high, closed: bool = False) -> Array:
     """value as a floating scalar array; ValueError if it is concrete and outside the interval."""
     value = jnp.asarray(value)
     if not jnp.issubdtype(value.dtype, jnp.floating) or value.weak_type:

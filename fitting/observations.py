@@ -1,0 +1,254 @@
+"""What was measured, checked once on the way in."""
+
+import dataclasses
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from oceaninv.spectrum import Response
+from oceaninv.tables import check_wavelength
+
+MIN_DEPTHS = 5
+
+
+def _array(name: str, value, ndim: int) -> np.ndarray:
+    array = np.asarray(value, dtype=np.float64)
+    if array.ndim != ndim:
+        raise ValueError(f"{name} must have {ndim} dimension(s), not shape {array.shape}.")
+    return array
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Profile:
+    """Downward irradiance at depths.
+
+    **Arguments:**
+
+    - `depth`: (depth,) metres, positive down, in any order; at least 5.
+    - `wavelength`: (wl,) nm, strictly increasing.
+    - `Ed`: (depth, wl) W m-2 nm-1 (any unit: Kd does not depend on it).  NaN, zero and negative
+      values are masked and counted in `masked`.
+    - `sigma`: (depth, wl) standard deviations of Ed; `None` estimates a relative noise per band
+      from the residuals.
+    - `floor`: (wl,) standard deviation of the noise in darkness, in the unit of Ed, used when
+      `sigma` is None; `None` estimates it from the deepest tenth of the cast.
+    - `solar_zenith`: degrees in air, or None if unknown.
+    - `source`: where the numbers come from, for reports.
+
+    Raises ValueError, naming band and count, when a band keeps fewer than 5 depths.
+    """
+
+    depth: Float[np.ndarray, " depth"]
+    wavelength: Float[np.ndarray, " wl"]
+    Ed: Float[np.ndarray, "depth wl"]
+    sigma: Float[np.ndarray, "depth wl"] | None
+    floor: Float[np.ndarray, " wl"]
+    mask: Bool[np.ndarray, "depth wl"]
+    solar_zenith: float | None
+    source: str
+
+    def __init__(
+        self, depth, wavelength, Ed, sigma=None, floor=None, solar_zenith=None, source="memory"
+    ):
+        depth, wavelength = _array("depth", depth, 1), check_wavelength(wavelength)
+        Ed = _array("Ed", Ed, 2)
+        if Ed.shape != (len(depth), len(wavelength)):
+            raise ValueError(
+                f"Ed must have shape (depth, wl) = ({len(depth)}, {len(wavelength)}), "
+                f"not {Ed.shape}."
+            )
+        if not np.all(np.isfinite(depth)):
+            raise ValueError(f"depth holds {int(np.sum(~np.isfinite(depth)))} missing values.")
+        order = np.argsort(depth, kind="stable")
+        depth, Ed = depth[order], Ed[order]
+        mask = np.isfinite(Ed) & (Ed > 0) & (depth >= 0)[:, None]
+        if sigma is not None:
+            sigma = _array("sigma", sigma, 2)[order]
+            if sigma.shape != Ed.shape:
+                raise ValueError(f"sigma must have the shape of Ed, {Ed.shape}.")
+            mask &= np.isfinite(sigma) & (sigma > 0)
+        for band, kept in zip(wavelength, mask.sum(axis=0), strict=True):
+            if kept < MIN_DEPTHS:
+                raise ValueError(
+                    f"the band at {band:g} nm keeps {kept} of {len(depth)} depths after masking "
+                    f"missing and non-positive irradiance; at least {MIN_DEPTHS} are needed."
+                )
+        if solar_zenith is not None and not 0 <= solar_zenith < 90:
+            raise ValueError(f"solar_zenith must lie in [0, 90) degrees, not {solar_zenith:g}.")
+        if floor is None:
+            floor = _noise_floor(Ed, mask)
+        floor = np.broadcast_to(np.asarray(floor, dtype=np.float64), wavelength.shape)
+        for name, value in (
+            ("depth", depth),
+            ("wavelength", wavelength),
+            ("Ed", Ed),
+            ("sigma", sigma),
+            ("floor", floor),
+            ("mask", mask),
+            ("solar_zenith", solar_zenith),
+            ("source", source),
+        ):
+            object.__setattr__(self, name, value)
+
+    @property
+    def masked(self) -> int:
+        """How many values were missing, zero, negative or above the surface."""
+        return int((~self.mask).sum())
+
+
+def _noise_floor(Ed: np.ndarray, mask: np.ndarray) -> np.ndarray:
+    """Scatter of the deepest tenth of each band, from the differences of neighbours."""
+    floors = []
+    for values, kept in zip(Ed.T, mask.T, strict=True):
+        deep = values[kept][-max(MIN_DEPTHS, kept.sum() // 10) :]
+        floors.append(1.4826 * np.median(np.abs(np.diff(deep))) / np.sqrt(2.0))
+    # Never quite zero: a digital zero would claim perfect knowledge of darkness.
+    return np.maximum(floors, 1e-12 * np.nanmax(np.where(mask, Ed, np.nan), axis=0))
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Chart:
+    """Readings of the patches of one chart in a photograph.
+
+    **Arguments:**
+
+    - `values`: (patch, channel) mean linear camera values.
+    - `reflectance`: (patch, wl) on the wavelengths of the `Photo`, or (patch,) for neutral ones.
+    - `distance`: metres from camera to chart, > 0.
+    - `sigma`: (patch, channel) standard deviations; `None` takes 1 % of the value.
+    - `zenith`: direction of the line of sight, degrees; 90 (default) is horizontal, 180 down.
+    - `name`: for reports.
+    """
+
+    values: np.ndarray
+    reflectance: np.ndarray
+    distance: float
+    sigma: np.ndarray
+    zenith: float
+    name: str
+
+    def __init__(self, values, reflectance, distance, sigma=None, zenith=90.0, name="chart"):
+        values = _array("values", values, 2)
+        reflectance = np.asarray(reflectance, dtype=np.float64)
+        if reflectance.ndim not in (1, 2) or len(reflectance) != len(values):
+            raise ValueError(
+                f"reflectance of chart {name!r} must have one row per patch ({len(values)}), not "
+                f"shape {reflectance.shape}."
+            )
+        if np.any(~np.isfinite(reflectance)) or np.any((reflectance < 0) | (reflectance > 1.5)):
+            raise ValueError(f"reflectance of chart {name!r} must lie between 0 and 1.5.")
+        if not (np.isfinite(distance) and distance > 0):
+            raise ValueError(f"distance of chart {name!r} must be positive, not {distance}.")
+        _set_readings(self, values, sigma, zenith, name)
+        object.__setattr__(self, "reflectance", reflectance)
+        object.__setattr__(self, "distance", float(distance))
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Background:
+    """Readings of open water: the light scattered into lines of sight that end at nothing.
+
+    **Arguments:**
+
+    - `values`: (direction, channel) mean linear camera values.
+    - `zenith`: (direction,) degrees, 90 horizontal, 180 straight down.
+    - `sigma`: (direction, channel); `None` takes 1 % of the value.
+    """
+
+    values: np.ndarray
+    zenith: np.ndarray
+    sigma: np.ndarray
+    name: str
+
+    def __init__(self, values, zenith=90.0, sigma=None, name="background"):
+        values = _array("values", np.atleast_2d(np.asarray(values, dtype=np.float64)), 2)
+        zenith = np.broadcast_to(np.asarray(zenith, dtype=np.float64), (len(values),))
+        _set_readings(self, values, sigma, zenith, name)
+
+
+def _set_readings(readings, values, sigma, zenith, name):
+    sigma = 0.01 * np.abs(values) if sigma is None else _array("sigma", sigma, 2)
+    if sigma.shape != values.shape:
+        raise ValueError(f"sigma of {name!r} must have the shape of values, {values.shape}.")
+    if np.any(np.asarray(zenith) < 0) or np.any(np.asarray(zenith) > 180):
+        raise ValueError(f"zenith of {name!r} must lie between 0 and 180 degrees.")
+    for key, value in (("values", values), ("sigma", sigma), ("zenith", zenith), ("name", name)):
+        object.__setattr__(readings, key, value)
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Photo:
+    """One photograph: readings of charts and of open water by one camera at one depth.
+
+    **Arguments:**
+
+    - `charts`: sequence of `Chart`.
+    - `backgrounds`: sequence of `Background`.
+    - `response`: the camera's spectral response (`oceaninv.spectrum.camera_response(name)`), or
+      `None` for an unknown camera: the mean of 50 cameras with three free components.
+    - `depth`: metres of the camera below the surface; charts are taken to hang at its depth plus
+      what their line of sight descends.
+    - `depth_sd`: relative standard deviation of `depth`.
+    - `solar_zenith`: degrees in air.
+    - `azimuth`: degrees between the camera's heading and the sun's, 0 looking towards the sun.
+    - `source`: for reports.
+
+    NaN, zero and negative readings are masked, with the count in `masked`; ValueError when fewer
+    than 3 readings remain.  Leave clipped patches out: they look like data.
+    """
+
+    charts: tuple[Chart, ...]
+    backgrounds: tuple[Background, ...]
+    response: Response | None
+    depth: float
+    depth_sd: float
+    solar_zenith: float
+    azimuth: float
+    source: str
+    masked: int
+
+    def __init__(
+        self,
+        charts=(),
+        backgrounds=(),
+        *,
+        depth,
+        response=None,
+        depth_sd=0.02,
+        solar_zenith=40.0,
+        azimuth=90.0,
+        source="memory",
+    ):
+        charts, backgrounds = tuple(charts), tuple(backgrounds)
+        channels = 3
+        if response is not None and response.values.shape[0] != channels:
+            raise ValueError(f"response must have 3 channels, not {response.values.shape[0]}.")
+        for item in charts + backgrounds:
+            if item.values.shape[1] != channels:
+                raise ValueError(
+                    f"{item.name!r} has {item.values.shape[1]} channels, the camera {channels}."
+                )
+        if not (np.isfinite(depth) and depth > 0):
+            raise ValueError(f"depth must be positive metres, not {depth}.")
+        if not 0 <= solar_zenith < 90:
+            raise ValueError(f"solar_zenith must lie in [0, 90) degrees, not {solar_zenith:g}.")
+        readings = [item.values for item in charts + backgrounds]
+        usable = sum(int(np.sum(np.isfinite(v) & (v > 0))) for v in readings)
+        total = sum(v.size for v in readings)
+        if usable < 3:
+            raise ValueError(
+                f"{usable} of {total} readings are usable (finite and positive); at least 3 are "
+                "needed: give charts, background water, or both."
+            )
+        for key, value in (
+            ("charts", charts),
+            ("backgrounds", backgrounds),
+            ("response", response),
+            ("depth", float(depth)),
+            ("depth_sd", float(depth_sd)),
+            ("solar_zenith", float(solar_zenith)),
+            ("azimuth", float(azimuth)),
+            ("source", source),
+            ("masked", total - usable),
+        ):
+            object.__setattr__(self, key, value)

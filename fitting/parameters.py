@@ -1,0 +1,190 @@
+"""Unknowns of a fit: names, transforms to the real line, priors."""
+
+import abc
+import dataclasses
+import math
+from collections.abc import Mapping, Sequence
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from oceaninv import CDOM, BioOpticalModel, Constituents, Detritus, Minerals, Phytoplankton
+from oceaninv.bio_optics import particle_phase
+
+
+class AbstractTransform(abc.ABC):
+    """A monotonic map from the real line, where the solver works, to the physical range."""
+
+    @abc.abstractmethod
+    def physical(self, x):
+        """Physical value of the coordinate x."""
+
+    @abc.abstractmethod
+    def coordinate(self, value: float) -> float:
+        """Coordinate of a concrete physical value."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Identity(AbstractTransform):
+    """Any real number; a spread is in the parameter's own unit."""
+
+    def physical(self, x):
+        return x
+
+    def coordinate(self, value: float) -> float:
+        return float(value)
+
+
+@dataclasses.dataclass(frozen=True)
+class Log(AbstractTransform):
+    """Positive numbers; a spread is of the natural logarithm (0.1 is about 10 %)."""
+
+    def physical(self, x):
+        # Beyond e^+-46 nothing is physical and float32 overflows: the solver may look, not go.
+        return jnp.exp(jnp.clip(x, -46.0, 46.0)) if isinstance(x, jax.Array) else np.exp(x)
+
+    def coordinate(self, value: float) -> float:
+        if not value > 0:
+            raise ValueError(f"a parameter on a log scale must be positive, not {value:g}.")
+        return math.log(value)
+
+
+@dataclasses.dataclass(frozen=True)
+class Logit(AbstractTransform):
+    """Numbers between two bounds; a spread is of the log-odds."""
+
+    low: float
+    high: float
+
+    def physical(self, x):
+        odds = jax.nn.sigmoid(x) if isinstance(x, jax.Array) else 1.0 / (1.0 + np.exp(-x))
+        return self.low + (self.high - self.low) * odds
+
+    def coordinate(self, value: float) -> float:
+        if not self.low < value < self.high:
+            raise ValueError(f"{value:g} is not between {self.low:g} and {self.high:g}.")
+        return math.log((value - self.low) / (self.high - value))
+
+
+@dataclasses.dataclass(frozen=True)
+class Parameter:
+    """One unknown.
+
+    - `name`, `unit`: for tables and files.
+    - `centre`: physical value at which the prior is centred and the search starts.
+    - `spread`: standard deviation of the prior in the transform's coordinate; `None` is flat.
+    - `nuisance`: it is not asked for but must be free for the intervals to be honest.
+    """
+
+    name: str
+    centre: float
+    spread: float | None = None
+    transform: AbstractTransform = Log()
+    unit: str = "1"
+    nuisance: bool = False
+
+    def __post_init__(self):
+        self.transform.coordinate(self.centre)
+        if self.spread is not None and not self.spread > 0:
+            raise ValueError(f"spread of {self.name} must be positive or None, not {self.spread}.")
+
+
+class Parameters(tuple[Parameter, ...]):
+    """An ordered set of unknowns, and the vector of their coordinates."""
+
+    def __new__(cls, parameters: Sequence[Parameter]):
+        names = [p.name for p in parameters]
+        if len(set(names)) != len(names):
+            raise ValueError(f"parameter names must differ: {', '.join(names)}.")
+        return super().__new__(cls, parameters)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names in order."""
+        return tuple(p.name for p in self)
+
+    def start(self) -> Float[Array, " unknown"]:
+        """Coordinates at the priors' centres."""
+        return jnp.asarray([p.transform.coordinate(p.centre) for p in self], dtype=float)
+
+    def values(self, x: Float[Array, " unknown"]) -> dict[str, Float[Array, ""]]:
+        """Physical values by name."""
+        return {p.name: p.transform.physical(x[i]) for i, p in enumerate(self)}
+
+    def prior_residual(self, x: Float[Array, " unknown"]) -> Float[Array, " unknown"]:
+        """(x - centre)/spread, 0 where the prior is flat."""
+        weight = jnp.asarray([0.0 if p.spread is None else 1.0 / p.spread for p in self], x.dtype)
+        return (x - self.start().astype(x.dtype)) * weight
+
+    def replace(self, changes: Mapping[str, Parameter]) -> "Parameters":
+        """The same set with some parameters exchanged by name."""
+        for name in changes:
+            if name not in self.names:
+                from oceaninv.tables import unknown
+
+                raise unknown("parameter", name, sorted(self.names))
+        return Parameters([changes.get(p.name, p) for p in self])
+
+
+def constituents() -> tuple[Parameter, ...]:
+    """Chlorophyll, CDOM and detritus, each with a prior decades wide."""
+    return (
+        Parameter("chlorophyll", 0.5, 2.3, unit="mg m-3"),
+        Parameter("cdom", 0.05, 2.3, unit="m-1"),
+        Parameter("detritus", 0.03, 2.3, unit="m-1"),
+    )
+
+
+def shape_nuisances() -> tuple[Parameter, ...]:
+    """What the default bio-optical model fixes but nature varies, with the spread of nature.
+
+    - `tie`: detritus scattering per absorption at 400 nm: 5 within a factor of 2.
+    - `cdom_slope`, `detritus_slope`: /nm; spreads as in Babin et al. 2003.
+    - `detritus_exponent`: spectral slope of detritus scattering.
+    - `phytoplankton_absorption`, `phytoplankton_scattering`: factors on the specific values.
+    - `backscatter`: factor on the backscatter ratio of all particles.
+    """
+    return (
+        Parameter("tie", 5.0, math.log(2.0), nuisance=True),
+        Parameter("cdom_slope", 0.0176, 0.15, unit="nm-1", nuisance=True),
+        Parameter("detritus_slope", 0.0123, 0.12, unit="nm-1", nuisance=True),
+        Parameter("detritus_exponent", 0.9, 0.4, Identity(), nuisance=True),
+        Parameter("phytoplankton_absorption", 1.0, 0.3, nuisance=True),
+        Parameter("phytoplankton_scattering", 1.0, 0.4, nuisance=True),
+        Parameter("backscatter", 1.0, 0.3, nuisance=True),
+    )
+
+
+def water_iops(values: Mapping[str, Float[Array, ""]], wavelength: np.ndarray):
+    """IOPs of the default model with whichever nuisances `values` names.
+
+    Wavelengths beyond 400-700 nm use the named extension of phytoplankton absorption.
+    """
+
+    def get(name, default):
+        return values.get(name, default)
+
+    outside = wavelength[0] < 400.0 or wavelength[-1] > 700.0
+    factor = get("backscatter", 1.0)
+    model = BioOpticalModel(
+        (
+            Phytoplankton(
+                absorption_scale=get("phytoplankton_absorption", 1.0),
+                scattering_at_550=0.30 * get("phytoplankton_scattering", 1.0),
+                phase=particle_phase(0.010 * factor),
+                extension="Sathyendranath1987" if outside else None,
+            ),
+            CDOM(slope=get("cdom_slope", 0.0176)),
+            Detritus(
+                slope=get("detritus_slope", 0.0123),
+                tie=get("tie", 5.0),
+                exponent=get("detritus_exponent", 0.9),
+                phase=particle_phase(0.018 * factor),
+            ),
+            Minerals(),
+        )
+    )
+    names = ("chlorophyll", "cdom", "detritus", "minerals")
+    return model.iops(Constituents(**{n: values[n] for n in names if n in values}), wavelength)

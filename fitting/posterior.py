@@ -1,0 +1,161 @@
+"""What a fit knows and does not know: values, intervals, correlations, identifiability."""
+
+import dataclasses
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from jaxtyping import Float
+
+from fitting.parameters import Log, Parameter, Parameters
+
+if TYPE_CHECKING:
+    import xarray
+
+Vector = Float[np.ndarray, " unknown"]
+
+# A standard deviation of the logarithm beyond which a number would mislead: only an interval is
+# given.  A posterior as wide as this share of its prior was decided by the prior.
+_UNKNOWN_SD = 0.5
+_PRIOR_SHARE = 0.8
+
+
+@dataclasses.dataclass(frozen=True)
+class Quantity:
+    """A derived quantity with its standard deviation, scalar or (wl,).
+
+    `sd` is of the natural logarithm (relative): optical coefficients are positive.
+    """
+
+    value: np.ndarray
+    sd: np.ndarray
+    unit: str
+    long_name: str
+
+    def interval(self, level: float = 0.95, dof: float | None = None):
+        """(low, high) that holds the truth with probability `level`."""
+        reach = quantile(level, dof) * self.sd
+        return self.value * np.exp(-reach), self.value * np.exp(reach)
+
+
+def quantile(level: float, dof: float | None = None) -> float:
+    """Half-width of a central interval in standard deviations: normal, or Student's t."""
+    from scipy.special import ndtri, stdtrit
+
+    tail = 0.5 + 0.5 * level
+    return float(ndtri(tail) if dof is None else stdtrit(dof, tail))
+
+
+@dataclasses.dataclass(frozen=True)
+class Predictive:
+    """Observations beside what the fitted model predicts, all of one shape.
+
+    `sd`: of the prediction of a new observation (parameters and noise); `label` names the axes.
+    """
+
+    observed: np.ndarray
+    predicted: np.ndarray
+    sd: np.ndarray
+    axes: tuple[str, ...]
+    unit: str
+
+
+@dataclasses.dataclass(frozen=True)
+class Fit:
+    """The result of a fit.
+
+    - `value`: best value by parameter name.  Read it together with `identifiable`.
+    - `covariance`: (unknown, unknown) of the parameters' coordinates (the logarithm for positive
+      ones), in the order of `parameters`; `correlation` follows from it.
+    - `identifiable`: by name, whether the data fix the parameter: sd of the logarithm at most
+      0.5 and clearly narrower than the prior.
+    - `quantities`: derived quantities (Kd, c, ...).
+    - `result`: a sentence that says whether the search converged.
+    - `posterior_predictive`: observations beside predictions.
+    - `dof`: degrees of freedom when the noise was estimated from the residuals, else None.
+    - `metadata`: model, data, counts of masked values, notes.
+    """
+
+    parameters: Parameters
+    x: Vector
+    covariance: np.ndarray
+    quantities: Mapping[str, Quantity]
+    wavelength: np.ndarray
+    result: str
+    posterior_predictive: Predictive
+    metadata: Mapping[str, Any]
+    dof: float | None = None
+    sensitivity: Mapping[str, Mapping[str, float]] = dataclasses.field(default_factory=dict)
+
+    @property
+    def value(self) -> dict[str, float]:
+        """Best value by name."""
+        return {
+            p.name: float(p.transform.physical(np.float64(x)))
+            for p, x in zip(self.parameters, self.x, strict=True)
+        }
+
+    @property
+    def sd(self) -> dict[str, float]:
+        """Standard deviation of each parameter's coordinate (relative, for positive ones)."""
+        return dict(zip(self.parameters.names, np.sqrt(np.diag(self.covariance)), strict=True))
+
+    @property
+    def correlation(self) -> np.ndarray:
+        """(unknown, unknown) correlation matrix."""
+        sd = np.sqrt(np.diag(self.covariance))
+        return self.covariance / np.outer(sd, sd)
+
+    @property
+    def converged(self) -> bool:
+        """Whether the search ended at an optimum."""
+        return self.result == "converged"
+
+    def interval(self, name: str, level: float = 0.95) -> tuple[float, float]:
+        """(low, high) that holds the parameter with probability `level`."""
+        i = self.parameters.names.index(name)
+        transform = self.parameters[i].transform
+        reach = quantile(level, self.dof) * np.sqrt(self.covariance[i, i])
+        low, high = self.x[i] - reach, self.x[i] + reach
+        return float(transform.physical(low)), float(transform.physical(high))
+
+    @property
+    def identifiable(self) -> dict[str, bool]:
+        """Whether the data, rather than the prior, fix each parameter."""
+        return {
+            p.name: _identifiable(p, sd)
+            for p, sd in zip(self.parameters, self.sd.values(), strict=True)
+        }
+
+    def to_xarray(self) -> "xarray.Dataset":
+        """Everything as a CF-style dataset; see `fitting.report.dataset`."""
+        from fitting.report import dataset
+
+        return dataset(self)
+
+    def report(self, path: str | Path) -> None:
+        """Write a picture of the fit (PNG) to `path`; see `fitting.report.picture`."""
+        from fitting.report import picture
+
+        picture(self, path)
+
+    def metadata_json(self) -> str:
+        """Metadata as one line of JSON."""
+        return json.dumps(dict(self.metadata), default=str)
+
+
+def _identifiable(parameter: Parameter, sd: float) -> bool:
+    narrow = sd <= _UNKNOWN_SD or not isinstance(parameter.transform, Log)
+    informed = parameter.spread is None or sd <= _PRIOR_SHARE * parameter.spread
+    return bool(np.isfinite(sd) and narrow and informed)
+
+
+def derived_quantity(
+    values: np.ndarray, jacobian: np.ndarray, covariance: np.ndarray, unit: str, long_name: str
+) -> Quantity:
+    """Delta method for a positive quantity: `values` (...), `jacobian` (..., unknown)."""
+    relative = jacobian / values[..., None]
+    variance = np.einsum("...i,ij,...j->...", relative, covariance, relative)
+    return Quantity(values, np.sqrt(variance), unit, long_name)

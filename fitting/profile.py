@@ -1,0 +1,367 @@
+"""Depth profiles of irradiance to Kd(wl), and to constituents."""
+
+import functools
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+import oceaninv as oi
+from fitting.observations import MIN_DEPTHS, Profile
+from fitting.parameters import (
+    Identity,
+    Log,
+    Parameter,
+    Parameters,
+    constituents,
+    shape_nuisances,
+    water_iops,
+)
+from fitting.posterior import Fit, Predictive, Quantity
+from fitting.quantities import quantities_of, water_quantities
+from fitting.solve import (
+    Optimum,
+    covariance,
+    least_squares,
+    sentence,
+    value_and_jacobian,
+)
+from oceaninv.transport.base import AbstractTransport
+
+_RELATIVE_NOISE = 0.05
+_ROUNDS = 4
+
+
+class BandFit(eqx.Module):
+    """Exponential fits of many bands: `x` = (ln Ed(0-), ln Kd), each with a leading band axis."""
+
+    optimum: Optimum
+    covariance: Float[Array, "band 2 2"]
+    noise: Float[Array, " band"]
+
+
+@eqx.filter_jit
+def fit_bands(
+    depth: Float[Array, "band depth"],
+    Ed: Float[Array, "band depth"],
+    sigma: Float[Array, "band depth"] | None,
+    floor: Float[Array, " band"],
+    mask: Bool[Array, "band depth"],
+) -> BandFit:
+    """Ed = Ed(0-) e^(-Kd z) for every band by itself; one compiled program for a padded batch.
+
+    Maximum likelihood with sd^2 = (noise Ed)^2 + floor^2 evaluated at the model, not at the
+    noisy datum (which would favour low readings); `noise` is estimated from the residuals when
+    `sigma` is None.
+    """
+    if sigma is None:
+        return jax.vmap(functools.partial(_fit_band, None))(depth, Ed, floor, mask)
+    return jax.vmap(_fit_band)(sigma, depth, Ed, floor, mask)
+
+
+def _band_residual(x, args):
+    depth, Ed, sd, mask = args
+    model = jnp.exp(x[0] - jnp.exp(jnp.clip(x[1], -46.0, 8.0)) * depth)
+    return jnp.where(mask, (Ed - model) / sd, 0.0)
+
+
+def _fit_band(sigma, depth, Ed, floor, mask):
+    count = jnp.sum(mask).astype(Ed.dtype)
+    positive = jnp.where(mask, Ed, 1.0)
+    x = _log_linear(
+        depth,
+        jnp.log(positive),
+        jnp.where(mask, positive**2, 0.0) / ((_RELATIVE_NOISE * positive) ** 2 + floor**2),
+    )
+
+    def spread(x, noise):
+        if sigma is not None:
+            return jnp.where(mask, sigma, 1.0)
+        model = jnp.exp(x[0] - jnp.exp(x[1]) * depth)
+        return jnp.sqrt((noise * model) ** 2 + floor**2)
+
+    def refine(carry, _):
+        x, noise = carry
+        optimum = least_squares(
+            _band_residual, x, (depth, Ed, spread(x, noise), mask), max_steps=60
+        )
+        if sigma is None:
+            excess = jnp.sum(optimum.residual**2) / jnp.maximum(count - 2, 1)
+            noise = jnp.clip(noise * jnp.sqrt(excess), 1e-5, 1.0)
+        return (optimum.x, noise), optimum.code
+
+    rounds = _ROUNDS if sigma is None else 1
+    (x, noise), codes = jax.lax.scan(
+        refine, (x, jnp.asarray(_RELATIVE_NOISE, x.dtype)), None, length=rounds
+    )
+    args = (depth, Ed, spread(x, noise), mask)
+    residual, jacobian = value_and_jacobian(lambda x: _band_residual(x, args), x)
+    optimum = Optimum(x, residual, jacobian, codes[-1])
+    return BandFit(optimum, covariance(optimum.jacobian), noise)
+
+
+def _log_linear(depth, log_ed, weight):
+    """Weighted straight line through ln Ed: (intercept, ln slope), the slope kept positive."""
+    total = jnp.sum(weight)
+    mean_z, mean_y = jnp.sum(weight * depth) / total, jnp.sum(weight * log_ed) / total
+    spread = jnp.sum(weight * (depth - mean_z) ** 2)
+    slope = -jnp.sum(weight * (depth - mean_z) * (log_ed - mean_y)) / jnp.maximum(spread, 1e-12)
+    slope = jnp.maximum(slope, 1e-4)
+    return jnp.stack([mean_y + slope * mean_z, jnp.log(slope)])
+
+
+def light_level_mask(profile: Profile, level: float = 0.1) -> np.ndarray:
+    """(depth, wl) mask of the samples above the depth where Ed falls to `level` of its maximum.
+
+    The maximum and the crossing are taken on a running median of 7, which single waves do not
+    move.  A band that never falls so far, or does so within 5 samples, is used as it is.
+    """
+    mask = profile.mask.copy()
+    for i in range(len(profile.wavelength)):
+        kept = np.flatnonzero(mask[:, i])
+        values = profile.Ed[kept, i]
+        padded = np.pad(values, 3, mode="edge")
+        smooth = np.median(np.lib.stride_tricks.sliding_window_view(padded, 7), axis=1)
+        dark = np.flatnonzero(smooth < level * smooth.max())
+        dark = dark[dark >= MIN_DEPTHS]
+        if dark.size:
+            mask[kept[dark[0]] :, i] = False
+    return mask
+
+
+def _window(profile: Profile, depth_range) -> tuple[np.ndarray, str]:
+    if depth_range is None:
+        mask = light_level_mask(profile)
+        return mask, "mean from the surface to the depth of 10 % light"
+    low, high = depth_range
+    mask = profile.mask & ((profile.depth >= low) & (profile.depth <= high))[:, None]
+    for band, kept in zip(profile.wavelength, mask.sum(axis=0), strict=True):
+        if kept < MIN_DEPTHS:
+            raise ValueError(
+                f"depth_range {low:g}-{high:g} m leaves {kept} usable depths at {band:g} nm; at "
+                f"least {MIN_DEPTHS} are needed."
+            )
+    return mask, f"mean over {low:g} to {high:g} m"
+
+
+def _padded(count: int) -> int:
+    """Depths are padded to a power of two, so that casts of many lengths share a program."""
+    return max(32, 1 << (count - 1).bit_length())
+
+
+def _pad(array: np.ndarray, size: int, fill: float) -> np.ndarray:
+    return np.pad(array, [(0, 0), (0, size - array.shape[1])], constant_values=fill)
+
+
+def _fit_profile_bands(profile: Profile, mask: np.ndarray) -> BandFit:
+    size = _padded(len(profile.depth))
+    bands = len(profile.wavelength)
+    depth = np.broadcast_to(profile.depth, (bands, len(profile.depth)))
+    sigma = None if profile.sigma is None else jnp.asarray(_pad(profile.sigma.T, size, 1.0))
+    values = np.where(profile.mask, profile.Ed, 1.0)
+    return fit_bands(
+        jnp.asarray(_pad(depth, size, 0.0)),
+        jnp.asarray(_pad(values.T, size, 1.0)),
+        sigma,
+        jnp.asarray(profile.floor),
+        jnp.asarray(_pad(mask.T, size, False)),
+    )
+
+
+def fit_profile(
+    profile: Profile,
+    *,
+    transport: AbstractTransport | None = None,
+    priors: dict[str, Parameter] | None = None,
+    depth_range: tuple[float, float] | None = None,
+) -> Fit:
+    """Fit a depth profile of downward irradiance.
+
+    **Arguments:**
+
+    - `profile`: the cast.
+    - `transport`: `None` fits one Kd and Ed(0-) per band, with no model of the water.  A
+      transport (`oceaninv.TwoStream()`) fits chlorophyll, CDOM and detritus to all bands
+      together through it; Ed(0-) of each band stays free, so that the sun's spectrum and the
+      sensor's calibration do not matter.
+    - `priors`: parameters to exchange by name, for instance a known CDOM:
+      `{"cdom": Parameter("cdom", 0.12, 0.1)}`.
+    - `depth_range`: (low, high) metres; by default each band is used from the surface to the
+      depth where its light has fallen to 10 %.
+
+    **Returns** a `Fit` with the quantity "Kd" at the profile's wavelengths (which mean it is
+    stands in `metadata["kd_definition"]`); with a transport also Kd(490), c(550), bb(550) and
+    a_cdm(440) of the water.
+    """
+    mask, definition = _window(profile, depth_range)
+    bands = _fit_profile_bands(profile, mask)
+    metadata = {
+        "source": profile.source,
+        "kd_definition": definition,
+        "depths_used": [int(n) for n in mask.sum(axis=0)],
+        "deepest_used_m": [float(profile.depth[m].max()) for m in mask.T],
+        "masked_values": profile.masked,
+        "relative_noise": [float(s) for s in bands.noise] if profile.sigma is None else "given",
+    }
+    if transport is None:
+        return _kd_result(profile, mask, bands, priors, metadata)
+    metadata["transport"] = type(transport).__name__
+    return _constituent_fit(profile, mask, bands, transport, priors, metadata)
+
+
+def _kd_result(profile, mask, bands: BandFit, priors, metadata) -> Fit:
+    if priors:
+        raise ValueError("priors apply to a fit through a transport; Kd alone has none.")
+    x, cov = np.asarray(bands.optimum.x), np.asarray(bands.covariance)
+    n = len(profile.wavelength)
+    labels = [f"{wl:g}" for wl in profile.wavelength]
+    parameters = Parameters(
+        [
+            Parameter(f"Ed0_{wl}", float(np.exp(v)), unit="W m-2 nm-1", nuisance=True)
+            for wl, v in zip(labels, x[:, 0], strict=True)
+        ]
+        + [
+            Parameter(f"Kd_{wl}", float(np.exp(v)), unit="m-1")
+            for wl, v in zip(labels, x[:, 1], strict=True)
+        ]
+    )
+    full = np.zeros((2 * n, 2 * n))
+    order = np.arange(n)
+    for i in (0, 1):
+        for j in (0, 1):
+            full[order + i * n, order + j * n] = cov[:, i, j]
+    kd = Quantity(np.exp(x[:, 1]), np.sqrt(cov[:, 1, 1]), "m-1", "diffuse attenuation coefficient")
+    # Intervals of a band use its own degrees of freedom; the smallest is the honest one for all.
+    dof = None if profile.sigma is not None else float(mask.sum(axis=0).min() - 2)
+    codes = np.asarray(bands.optimum.code)
+    model = np.exp(x[None, :, 0] - np.exp(x[None, :, 1]) * profile.depth[:, None])
+    predictive = _predictive(profile, mask, bands, model)
+    return Fit(
+        parameters,
+        x.T.reshape(-1),
+        full,
+        {"Kd": kd},
+        profile.wavelength,
+        sentence(codes.max()),
+        predictive,
+        metadata,
+        dof,
+    )
+
+
+def _noise_sd(profile: Profile, bands: BandFit, model: np.ndarray) -> np.ndarray:
+    if profile.sigma is not None:
+        return profile.sigma
+    return np.sqrt((np.asarray(bands.noise) * model) ** 2 + profile.floor**2)
+
+
+def _predictive(profile, mask, bands, model) -> Predictive:
+    observed = np.where(mask, profile.Ed, np.nan)
+    return Predictive(
+        observed, model, _noise_sd(profile, bands, model), ("depth", "wavelength"), "W m-2 nm-1"
+    )
+
+
+def _unknowns(profile: Profile, bands: BandFit, priors) -> Parameters:
+    known_sun = profile.solar_zenith is not None
+    surface = np.exp(np.asarray(bands.optimum.x[:, 0]))
+    parameters = Parameters(
+        [
+            *constituents(),
+            *shape_nuisances(),
+            # Refraction keeps the sun within 48 degrees under water: an unknown sun matters less
+            # than it seems; the spread also stands for the share of sky light.
+            Parameter(
+                "solar_zenith",
+                max(profile.solar_zenith, 1.0) if known_sun else 40.0,
+                0.05 if known_sun else 0.4,
+                Log(),
+                "degree",
+                True,
+            ),
+            # What the closed form gets wrong in Kd.
+            Parameter("closure", 0.0, 0.02, Identity(), "1", True),
+            *(
+                Parameter(f"Ed0_{wl:g}", float(e), None, Log(), "W m-2 nm-1", True)
+                for wl, e in zip(profile.wavelength, surface, strict=True)
+            ),
+        ]
+    )
+    return parameters.replace(priors or {})
+
+
+class _Cast(eqx.Module):
+    """The arrays that a constituent fit sees, padded."""
+
+    depth: Float[Array, " depth"]
+    Ed: Float[Array, "depth wl"]
+    sd: Float[Array, "depth wl"]
+    mask: Bool[Array, "depth wl"]
+
+
+def _model_ed(parameters: Parameters, grid, transport, x, depth):
+    values = parameters.values(x)
+    wavelength = np.asarray(grid)
+    water = water_iops(values, wavelength)
+    sun = jnp.ones(len(grid), dtype=x.dtype)
+    zenith = jnp.minimum(values["solar_zenith"], 89.0)
+    scene = oi.Scene(water, oi.Light(zenith, sun), oi.FlatSurface())
+    stretched = depth * (1.0 + values["closure"])
+    field = transport.irradiance(
+        scene, jnp.concatenate([jnp.zeros_like(depth[:1]), stretched]), None
+    )
+    relative = field.Ed.value[1:] / field.Ed.value[:1]
+    surface = jnp.stack([values[f"Ed0_{wl:g}"] for wl in grid])
+    return surface[None, :] * relative
+
+
+@eqx.filter_jit
+def _solve_constituents(parameters, grid, transport, cast: _Cast):
+    def residual(x, cast):
+        model = _model_ed(parameters, grid, transport, x, cast.depth)
+        data = jnp.where(cast.mask, (cast.Ed - model) / cast.sd, 0.0)
+        return jnp.concatenate([data.reshape(-1), parameters.prior_residual(x)])
+
+    optimum = least_squares(residual, parameters.start(), cast)
+
+    def outcome(x):
+        quantities = water_quantities(parameters.values(x), np.asarray(grid))
+        return quantities, _model_ed(parameters, grid, transport, x, cast.depth)
+
+    (quantities, model), (slopes, _) = value_and_jacobian(outcome, optimum.x)
+    return optimum, covariance(optimum.jacobian), quantities, slopes, model
+
+
+def _constituent_fit(profile, mask, bands, transport, priors, metadata) -> Fit:
+    parameters = _unknowns(profile, bands, priors)
+    x = np.asarray(bands.optimum.x)
+    model = np.exp(x[None, :, 0] - np.exp(x[None, :, 1]) * profile.depth[:, None])
+    extra = _padded(len(profile.depth)) - len(profile.depth)
+
+    def pad(array, fill):
+        widths = [(0, extra)] + [(0, 0)] * (array.ndim - 1)
+        return jnp.asarray(np.pad(array, widths, constant_values=fill))
+
+    cast = _Cast(
+        pad(profile.depth, 0.0),
+        pad(np.where(mask, profile.Ed, 1.0), 1.0),
+        pad(np.where(mask, _noise_sd(profile, bands, model), 1.0), 1.0),
+        pad(mask, False),
+    )
+    grid = tuple(profile.wavelength.tolist())
+    optimum, cov, values, slopes, fitted = _solve_constituents(parameters, grid, transport, cast)
+    cov = np.asarray(cov)
+    quantities, sensitivity = quantities_of(values, slopes, parameters, cov)
+    return Fit(
+        parameters,
+        np.asarray(optimum.x),
+        cov,
+        quantities,
+        profile.wavelength,
+        sentence(optimum.code),
+        _predictive(profile, mask, bands, np.asarray(fitted)[: len(profile.depth)]),
+        metadata,
+        sensitivity=sensitivity,
+    )
