@@ -40,9 +40,17 @@ def _exp_moment_jvp(n, primals, tangents):
     return exp_moment(n, x), -exp_moment(n + 1, x) * dx
 
 
+def _ordered(a, b):
+    """(smaller, larger), each with the whole derivative of one argument also at a tie, where
+    min, max and abs split or sign it so that the symmetric function's slope comes out wrong."""
+    swapped = b < a
+    return jnp.where(swapped, b, a), jnp.where(swapped, a, b)
+
+
 def exp_mean(a: Float[Array, "..."], b: Float[Array, "..."]) -> Float[Array, "..."]:
     """Mean of e^-u for u between a and b: (e^-a - e^-b)/(b - a), and e^-a where a = b."""
-    return jnp.exp(-jnp.minimum(a, b)) * exp_moment(0, jnp.abs(b - a))
+    low, high = _ordered(a, b)
+    return jnp.exp(-low) * exp_moment(0, high - low)
 
 
 def exp_mean3(
@@ -53,9 +61,9 @@ def exp_mean3(
     This is the second divided difference of e^-u: symmetric in its arguments and 1/2 e^-a where
     all three are equal.
     """
-    low = jnp.minimum(jnp.minimum(a, b), c)
-    high = jnp.maximum(jnp.maximum(a, b), c)
-    middle = jnp.maximum(jnp.minimum(a, b), jnp.minimum(jnp.maximum(a, b), c))
+    low, high = _ordered(a, b)
+    middle, high = _ordered(high, c)
+    low, middle = _ordered(low, middle)
     spread = high - low
     near = spread < 0.25
     apart = (exp_mean(low, middle) - exp_mean(middle, high)) / jnp.where(near, 1.0, spread)

@@ -83,13 +83,15 @@ def diffuse_reflectance(index: Float[Array, ""]) -> tuple[Float[Array, ""], Floa
     return from_air, 1.0 - (1.0 - from_air) / index**2
 
 
-def scattering_cosine(
+def scattering_half_sine(
     direction: Float[Array, "ray 3"], cos_sun: Float[Array, ""]
 ) -> Float[Array, " ray"]:
-    """Cosine of the angle by which sunlight must turn to reach an eye looking along `direction`.
+    """Sine of half the angle by which sunlight must turn to reach an eye that looks along
+    `direction`; the cosine of the whole angle is 1 - 2 sin^2.
 
     `cos_sun` is the cosine of the in-water sun zenith; the sun stands towards +x, so its light
-    travels along (-sin, 0, cos).
+    travels along (-sin, 0, cos).  Exact also for the smallest angles, which a cosine cannot hold.
     """
     sin_sun = safe_sqrt(1.0 - cos_sun**2)
-    return jnp.clip(direction[:, 0] * sin_sun - direction[:, 2] * cos_sun, -1.0, 1.0)
+    across = (direction[:, 0] - sin_sun) ** 2 + direction[:, 1] ** 2
+    return jnp.minimum(0.5 * safe_sqrt(across + (direction[:, 2] + cos_sun) ** 2), 1.0)

@@ -2,14 +2,15 @@
 
 The diffuse light field of the closed-form transports is written, at depth z, as
 
-    scalar irradiance  E(z) = e.decay e^(-K z) + e.beam e^(-k0 z) + e.mixed g(z) + e.grow e^(-K (T - z))
-    net downward flux  F(z) = the same with f's coefficients,
-    g(z) = (e^(-k0 z) - e^(-K z)) / (k0 - K),
+    scalar irradiance  E(z) = e.decay e^(-K z) + e.beam e^(-k0 z) + e.mixed g(z) + e.grow s(z)
+    net downward flux  F(z) = f.decay e^(-K z) + f.beam e^(-k0 z) + f.mixed g(z) + f.grow s'(z)
+    g(z) = (e^(-k0 z) - e^(-K z)) / (k0 - K),  s(z) = (e^(-K (T - z)) - e^(-K (T + z))) / (2 K),
 
 the pair (E, F) being the first two angular moments of the diffuse radiance.  The multiply
 scattered source is then (b* E + 3 mu b* g F)/(4 pi), and its integral along a straight ray is
-elementary.  Written with g, nothing is singular where the diffuse and the beam attenuation agree
-(K = k0), nor where a ray runs along the sunbeam.
+elementary.  Written with g and s, nothing is singular where the diffuse and the beam attenuation
+agree (K = k0), where the diffuse light does not decay (K = 0: s = z), nor where a ray runs along
+the sunbeam.
 """
 
 import equinox as eqx
@@ -18,7 +19,7 @@ from jaxtyping import Array, Float
 
 from oceaninv._numerics import exp_mean, exp_mean3, safe_sqrt
 from oceaninv.iops import IOPs
-from oceaninv.optics import Rays, fresnel_from_water, scattering_cosine
+from oceaninv.optics import Rays, fresnel_from_water, scattering_half_sine
 from oceaninv.scene import Scene
 
 # A ray without end: far longer than any water is clear, yet its square fits in float32.
@@ -45,9 +46,8 @@ class Scaled(eqx.Module):
         self.b_star = b - second
         self.bg_star = first - second
         self.c_star = water.a + self.b_star
-        clear = b <= 0
-        share = jnp.where(clear, 0.0, second / jnp.where(clear, 1.0, b))
-        self.forward = b * jnp.minimum(share, 0.995)
+        # Capped, lest a phase function that is all peak leave nothing to attenuate.
+        self.forward = jnp.where(second > 0.995 * b, 0.995 * b, second)
 
 
 class Terms(eqx.Module):
@@ -87,13 +87,19 @@ class Field(eqx.Module):
         """E and F of the diffuse light at depths z, each (depth, wl)."""
         z = z[:, None]
         k, k0 = self.K[None, :], self.k0[None, :]
-        basis = (
+        shared = (
             lambda: jnp.exp(-k * z),
             lambda: jnp.exp(-k0 * z),
             lambda: -z * exp_mean(k * z, k0 * z),
-            lambda: jnp.exp(-k * (self.bottom - z)),
         )
-        return _rows(self.e)(*basis), _rows(self.f)(*basis)
+
+        def grow():
+            return z * exp_mean(k * (self.bottom - z), k * (self.bottom + z))
+
+        def slope():
+            return 0.5 * (jnp.exp(-k * (self.bottom - z)) + jnp.exp(-k * (self.bottom + z)))
+
+        return _rows(self.e)(*shared, grow), _rows(self.f)(*shared, slope)
 
     def direct(self, z: Float[Array, " depth"]) -> Float[Array, "depth wl"]:
         """Irradiance normal to the (softened) sunbeam at depths z."""
@@ -112,11 +118,11 @@ def _rows(tree):
     return tree[None, :]
 
 
-def _source_integral(field: Field, scene: Scene, z, rays_down, cosine, looking_down: bool):
+def _source_integral(field: Field, scene: Scene, z, rays_down, half_sine, looking_down: bool):
     """In-scattered radiance along rays that run to the floor (or for ever) or to the surface.
 
     `z` (ray, 1): starting depths; `rays_down` (ray, 1): change of depth per metre of ray, of the
-    sign that `looking_down` says; `cosine` (ray,): of the scattering angle.  Returns radiance and
+    sign that `looking_down` says; `half_sine` (ray,): of half the scattering angle.  Returns radiance and
     the softened transmittance of the whole ray, both (ray, wl).
     """
     k, k0, mu0 = field.K[None, :], field.k0[None, :], field.mu0
@@ -139,27 +145,32 @@ def _source_integral(field: Field, scene: Scene, z, rays_down, cosine, looking_d
         if field.bottom is not None:
             at_floor = end * exp_mean(k * end, k0 * end)
             start = start + jnp.exp(-c_star * length) * at_floor
-        return (start - rays_down * along(k)) / (c_star + k0 * rays_down)
+        rate = c_star + k0 * rays_down
+        return (start - rays_down * along(k)) / jnp.where(rate > 0, rate, 1.0)
 
-    basis = (
-        lambda: along(k),
-        lambda: along(k0),
-        mixed,
-        lambda: (
-            length * exp_mean(k * (field.bottom - z), k * (field.bottom - end) + c_star * length)
-        ),
-    )
-    isotropic = water.b_star[None, :] * _rows(field.e)(*basis)
-    forward = -3.0 * rays_down * water.bg_star[None, :] * _rows(field.f)(*basis)
+    def floor_rates(sign):
+        near = k * (field.bottom + sign * z)
+        return near, k * (field.bottom + sign * end) + c_star * length
+
+    def grow():
+        # The difference of two means over 2 K, taken one corner at a time.
+        (a1, b1), (a2, b2) = floor_rates(-1.0), floor_rates(1.0)
+        return length * (z * exp_mean3(a1, a2, b1) + end * exp_mean3(a2, b1, b2))
+
+    def slope():
+        return 0.5 * length * (exp_mean(*floor_rates(-1.0)) + exp_mean(*floor_rates(1.0)))
+
+    shared = (lambda: along(k), lambda: along(k0), mixed)
+    isotropic = water.b_star[None, :] * _rows(field.e)(*shared, grow)
+    forward = -3.0 * rays_down * water.bg_star[None, :] * _rows(field.f)(*shared, slope)
     multiple = (isotropic + forward) / (4.0 * jnp.pi)
 
     # Single scattering keeps the true phase function; light turned through a small angle is not
     # softened by scattering through larger ones.
-    half_sine = safe_sqrt(0.5 * (1.0 - cosine))
     softening = -jnp.expm1(-2.0 * half_sine / _AUREOLE)
     c_single = water.c[None, :] - water.forward[None, :] * softening[:, None]
     single = (
-        scene.water.volume_scattering(cosine)
+        scene.water.volume_scattering(1.0 - 2.0 * half_sine**2)
         * field.beam[None, :]
         * length
         * exp_mean(z * c_single / mu0, (end / mu0 + length) * c_single)
@@ -172,21 +183,21 @@ def _endless(field: Field, scene: Scene, floor_radiance, z, direction):
     steep = jnp.maximum(jnp.abs(direction[:, 2]), _HORIZON)[:, None]
     down = direction[:, 2] >= 0
     depth = z[:, None]
-    cosine = scattering_cosine(direction, field.mu0)
+    half_sine = scattering_half_sine(direction, field.mu0)
     if scene.surface is None:
-        mirrored_depth, mirrored_cosine = depth, cosine
+        mirrored_depth, mirrored_half_sine = depth, half_sine
     else:
         # Rays that look up see the water from below, mirrored in the surface: one evaluation
         # serves them (from depth 0) and the rays that look down.
         mirrored = jnp.concatenate([direction[:, :2], steep], axis=1)
-        mirrored_cosine = scattering_cosine(mirrored, field.mu0)
+        mirrored_half_sine = scattering_half_sine(mirrored, field.mu0)
         mirrored_depth = jnp.where(down[:, None], depth, 0.0)
     below, transmitted = _source_integral(
-        field, scene, mirrored_depth, steep, mirrored_cosine, True
+        field, scene, mirrored_depth, steep, mirrored_half_sine, True
     )
     if floor_radiance is not None:
         below = below + floor_radiance[None, :] * transmitted
-    above, transmitted = _source_integral(field, scene, depth, -steep, cosine, False)
+    above, transmitted = _source_integral(field, scene, depth, -steep, half_sine, False)
     sky = scene.light.diffuse
     if scene.surface is None:
         if sky is not None:

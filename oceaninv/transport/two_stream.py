@@ -1,10 +1,11 @@
 """The two-stream rung: a closed form from a and b, the default of the toolkit."""
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Key
 
-from oceaninv._numerics import exp_mean
+from oceaninv._numerics import exp_mean, safe_sqrt
 from oceaninv.attenuation import irradiance_reflectance
 from oceaninv.iops import IOPs
 from oceaninv.optics import Rays, diffuse_reflectance
@@ -72,14 +73,6 @@ def _upward(field: Field, scene: Scene, depths, down):
     return reflectance * (down - at_floor * back) + floor.reflectance[None, :] * at_floor * back
 
 
-def _attenuation(squared: Float[Array, " wl"]) -> Float[Array, " wl"]:
-    """K from K^2.  The root's own slope at 0 is infinite while every sum of e^(-Kz) and
-    e^(-K(T-z)) over a floor is regular in K^2: a tiny offset that dies off quickly keeps both
-    value and derivative right without touching any K that water can have."""
-    tiny = float(np.finfo(squared.dtype).eps) ** 0.75
-    return jnp.sqrt(squared + tiny / (1.0 + (squared / 1e-4) ** 2))
-
-
 def solve(scene: Scene) -> Field:
     """The two-stream field of a scene with one homogeneous water."""
     if not isinstance(scene.water, IOPs):
@@ -91,7 +84,13 @@ def solve(scene: Scene) -> Field:
     mu0, beam = scene.beam()
     # Transport coefficient a + b (1 - chi_1): positive unless the water is a vacuum.
     spread = jnp.maximum(water.c_star - water.bg_star, float(np.finfo(a.dtype).tiny) ** 0.5)
-    K = _attenuation(3.0 * a * spread)
+    squared = 3.0 * a * spread
+    if scene.floor is not None:
+        # Over a floor the light field is regular in K^2 while the root's slope at 0 is infinite: a
+        # least value that nothing feels, passed by the derivative, keeps it right at a = 0.
+        least = 2e-14 if a.dtype == jnp.float64 else 1e-9
+        squared = squared + jax.lax.stop_gradient(jnp.maximum(least - squared, 0.0))
+    K = safe_sqrt(squared)
     k0 = water.c_star / mu0
     ratio = K / (3.0 * spread)
     drive = -3.0 * beam * (water.b_star * water.c_star + water.bg_star * a)
@@ -117,7 +116,7 @@ def solve(scene: Scene) -> Field:
     else:
         bottom = scene.floor.depth
         decaying, growing = _over_floor(
-            scene.floor, K, k0, mu0, ratio, beam, mixed, flux_beam, top_e, top_f, entering
+            scene.floor, K, k0, mu0, ratio, spread, beam, mixed, flux_beam, top_e, top_f, entering
         )
     return Field(
         water=water,
@@ -125,19 +124,23 @@ def solve(scene: Scene) -> Field:
         k0=k0,
         mu0=mu0,
         beam=beam,
-        e=Terms(decaying, None, mixed, growing),
+        e=Terms(decaying, None, mixed, None if growing is None else 3.0 * spread * growing),
         f=Terms(
             ratio * decaying,
             flux_beam,
             ratio * mixed,
-            None if growing is None else -ratio * growing,
+            None if growing is None else -growing,
         ),
         bottom=bottom,
     )
 
 
-def _over_floor(floor, K, k0, mu0, ratio, beam, mixed, flux_beam, top_e, top_f, entering):
-    """Amplitudes of the decaying and the growing exponential between surface and floor."""
+def _over_floor(
+    floor, K, k0, mu0, ratio, spread, beam, mixed, flux_beam, top_e, top_f, entering
+):
+    """Amplitudes of what decays from the surface and of what grows to the floor.
+
+    The second is regular where K = 0, unlike the exponential e^(-K (T - z)) alone."""
     depth, rho = floor.depth, floor.reflectance
     across = jnp.exp(-K * depth)
     sun = jnp.exp(-k0 * depth)
@@ -148,8 +151,10 @@ def _over_floor(floor, K, k0, mu0, ratio, beam, mixed, flux_beam, top_e, top_f, 
         - floor_e * mixed * pair
         + floor_f * (ratio * mixed * pair + flux_beam * sun)
     )
-    a11, a12 = top_e + top_f * ratio, (top_e - top_f * ratio) * across
-    a21, a22 = (floor_e - floor_f * ratio) * across, floor_e + floor_f * ratio
+    grown = 3.0 * spread * depth * exp_mean(jnp.zeros_like(K), 2.0 * K * depth)
+    a11, a12 = top_e + top_f * ratio, -top_f * across
+    a21 = (floor_e - floor_f * ratio) * across
+    a22 = floor_e * grown + 0.5 * floor_f * (1.0 + across**2)
     determinant = a11 * a22 - a12 * a21
     return (
         (entering * a22 - a12 * returned) / determinant,

@@ -83,7 +83,7 @@ def _shape(name):
         def value(cosine):
             return (1 - g * g) / (4 * np.pi * (1 + g * g - 2 * g * cosine) ** 1.5)
     else:
-        evaluate = jax.jit(shape)
+        evaluate = jax.jit(lambda cosine: shape(cosine))
 
         def value(cosine):
             return float(evaluate(jnp.asarray(cosine)))
