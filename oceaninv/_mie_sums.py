@@ -29,7 +29,7 @@ from oceaninv._mie_sweep import (
     zeros_like,
 )
 
-_GROUP = 512  # particles per group; more amortises loop overhead, fewer wastes less
+_GROUP = 256  # particles per group; more amortises loop overhead, fewer wastes less
 _BUFFERS = (2560, 11264)  # rows of scratch space; then by factors of 4
 
 
@@ -55,21 +55,23 @@ def largest_size(rows: int) -> float:
     return rows - 12 - 6.5 * rows ** (1 / 3)
 
 
-def group_lanes(count: int) -> tuple[int, int]:
-    """(groups, lanes per group) for `count` particles."""
-    width = min(_GROUP, max(8, -(-count // 16)))
+def _group_lanes(count: int, width: int) -> tuple[int, int]:
+    """(groups, lanes per group), at most `width`, for `count` particles."""
+    width = min(width, max(8, -(-count // 16)))
     groups = -(-count // width)
     return groups, -(-count // groups)
 
 
-def in_groups(run, x: Array, m: Array, rows: int, lane_data: Any = ()) -> Any:
+def in_groups(
+    run, x: Array, m: Array, rows: int, lane_data: Any = (), width: int = _GROUP
+) -> Any:
     """Apply run(group, scratch, lane_data) -> (out, scratch) to sorted groups of a flat batch.
 
     x and m have shape (lane,); lane_data is a pytree of arrays whose last axis is the lane; the
     result has the lane axis last too, in the original order.
     """
     count = x.shape[0]
-    groups, width = group_lanes(count)
+    groups, width = _group_lanes(count, min(width, _GROUP))
     order = jnp.argsort(jnp.abs(x))
     # Repeat the largest particle to fill the last group.
     slots = order[jnp.minimum(jnp.arange(groups * width), count - 1)]

@@ -28,6 +28,7 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Complex, Float, Num
 
 from oceaninv import _mie_sums
+from oceaninv._mie_angles import AngleSums, angle_sums
 from oceaninv._numerics import exp_moment
 
 # Below these size parameters the exact leading powers of x are used instead of the series.
@@ -140,7 +141,7 @@ def _asymmetry(sums: _mie_sums.Sums) -> Array:
 
 
 def efficiencies(
-    x: Float[ArrayLike, "*#s"], m: Num[ArrayLike, "*#s"], max_size: float | None = None
+    x: Num[ArrayLike, "*#s"], m: Num[ArrayLike, "*#s"], max_size: float | None = None
 ) -> tuple[Float[Array, "*s"], Float[Array, "*s"], Float[Array, "*s"]]:
     """Extinction and scattering efficiency and mean cosine of a sphere in a transparent host.
 
@@ -255,7 +256,7 @@ def _optics(arrays, shape, rows) -> _Optics:
 
 
 def cross_sections(
-    radius: Float[ArrayLike, "*#s"],
+    radius: Num[ArrayLike, "*#s"],
     wavelength: Num[ArrayLike, "*#s"],
     particle_index: Num[ArrayLike, "*#s"],
     host_index: Num[ArrayLike, "*#s"],
@@ -303,7 +304,7 @@ def _forward(sums: _mie_sums.Sums, optics: _Optics) -> Array:
 
 
 def forward_amplitude(
-    radius: Float[ArrayLike, "*#s"],
+    radius: Num[ArrayLike, "*#s"],
     wavelength: Num[ArrayLike, "*#s"],
     particle_index: Num[ArrayLike, "*#s"],
     host_index: Num[ArrayLike, "*#s"],
@@ -322,3 +323,92 @@ def _forward_amplitude(arrays, shape, rows):
     optics = _optics(arrays, shape, rows)
     forward = _forward(_sums(optics.spheres, rows), optics)
     return forward * (optics.area / (2.0 * math.pi)).astype(forward.dtype)
+
+
+def amplitudes(
+    cos_theta: Num[ArrayLike, "*#s"],
+    radius: Num[ArrayLike, "*#s"],
+    wavelength: Num[ArrayLike, "*#s"],
+    particle_index: Num[ArrayLike, "*#s"],
+    host_index: Num[ArrayLike, "*#s"],
+    max_size: float | None = None,
+) -> tuple[Complex[Array, "*s"], Complex[Array, "*s"]]:
+    """Scattering amplitudes S1, S2 (eqs 2 and 3) at the cosine of the scattering angle.
+
+    All arguments broadcast, as in `cross_sections`.  The series of a sphere is summed once for all
+    angles that lie along an axis of their own.
+    """
+    sums, optics, lanes_last = _at_angles(
+        cos_theta, radius, wavelength, particle_index, host_index, max_size
+    )
+    spheres = optics.spheres
+    grown = jnp.abs(spheres.x) * spheres.tiny**3 * jnp.exp(optics.alpha)
+    return tuple(
+        lanes_last(s * grown.reshape(-1).astype(s.dtype)[None, :]) for s in (sums.s1, sums.s2)
+    )
+
+
+def phase_function(
+    cos_theta: Num[ArrayLike, "*#s"],
+    radius: Num[ArrayLike, "*#s"],
+    wavelength: Num[ArrayLike, "*#s"],
+    particle_index: Num[ArrayLike, "*#s"],
+    host_index: Num[ArrayLike, "*#s"],
+    max_size: float | None = None,
+) -> Float[Array, "*s"]:
+    """Phase function of unpolarised light in 1/sr (eq 25), integral 1 over 4 pi.
+
+    **Arguments:** cosine of the scattering angle, -1 ... 1, then as in `cross_sections`; all
+    broadcast.  For many angles and many spheres give the angles an axis of their own, for example
+    cos_theta of shape (angle, 1) and radius of shape (radius,): each sphere is then summed once.
+
+    Raises ValueError as `cross_sections`, and for a cosine beyond 1.
+
+    >>> p = phase_function(np.array([-1.0, 1.0]), 1.0, 550.0, 1.58, 1.34)
+    >>> [f"{float(v):.4f}" for v in p]
+    ['0.0028', '14.5333']
+    """
+    sums, _, lanes_last = _at_angles(
+        cos_theta, radius, wavelength, particle_index, host_index, max_size
+    )
+    square = sum(jnp.real(s) ** 2 + jnp.imag(s) ** 2 for s in (sums.s1, sums.s2))
+    power = jnp.where(sums.power == 0.0, 1.0, sums.power)
+    return lanes_last(square / (4.0 * math.pi * power[None, :]))
+
+
+def _at_angles(cos_theta, radius, wavelength, particle_index, host_index, max_size):
+    """Angle sums of shape (angle, lane), the optics of the lanes, and the way back to the shape."""
+    particle_shape = _check_shapes(
+        radius=radius,
+        wavelength=wavelength,
+        particle_index=particle_index,
+        host_index=host_index,
+    )
+    shape = _check_shapes(cos_theta=cos_theta, particles=np.empty(particle_shape))
+    if not _is_traced(cos_theta) and not np.all(np.abs(np.asarray(cos_theta)) <= 1.0):
+        raise ValueError("cos_theta must be a cosine, between -1 and 1, without NaN.")
+    arrays, _, rows = _prepare(radius, wavelength, particle_index, host_index, max_size)
+    optics = _optics(arrays, particle_shape, rows)
+    padded = (1,) * (len(shape) - len(particle_shape)) + particle_shape
+    cosine_shape = (1,) * (len(shape) - np.ndim(cos_theta)) + np.shape(cos_theta)
+    # Axes along which only the angle varies come first, the lanes of spheres after them.
+    angles = [i for i in range(len(shape)) if padded[i] == 1 and cosine_shape[i] > 1]
+    lanes = [i for i in range(len(shape)) if i not in angles]
+    order = angles + lanes
+    cosine = jnp.asarray(cos_theta).astype(arrays[0].dtype).reshape(cosine_shape)
+    wide = tuple(cosine_shape[i] if i in angles else shape[i] for i in range(len(shape)))
+    cosine = jnp.broadcast_to(cosine, wide)
+    count = math.prod(shape[i] for i in angles)
+    lane_shape = tuple(shape[i] for i in lanes)
+    cosine = jnp.transpose(cosine, order).reshape(count, -1)
+
+    def lanes_last(values):
+        moved = values.reshape(tuple(shape[i] for i in angles) + lane_shape)
+        return jnp.transpose(moved, np.argsort(order))
+
+    spheres = optics.spheres
+    sums = angle_sums(spheres.x.reshape(-1), spheres.m.reshape(-1), cosine, rows)
+    tiny = spheres.tiny.reshape(-1)
+    # An element out of the domain is NaN.
+    power = jnp.where(jnp.isnan(tiny), jnp.nan, sums.power)
+    return AngleSums(sums.s1, sums.s2, power), optics, lanes_last
