@@ -18,11 +18,14 @@ SMALLEST_ANGLE = 1e-5  # rad; what lies inside is counted as unscattered, error 
 # the fraction scattered by less than theta, and 4 pi p = dF/du.  phi is smooth through delta = 1.
 
 
+_T, _W = gauss_legendre(5, 0.0, 1.0)
+
+
 def ff_phi(x, s):
     """phi at ln(delta) = x and its derivative with respect to x."""
-    near = jnp.abs(x) < 1.0
+    near = jnp.abs(x) < 0.5
     small = jnp.where(near, x, 0.0)
-    # phi = s h(s x)/h(x) with h(y) = (e^y - 1)/y; h and h' as power series.
+    # phi = s h(s x)/h(x) with h(y) = (e^y - 1)/y, whose logarithmic derivative is smooth at 0.
     h, dh = _mean_exponential(small)
     hs, dhs = _mean_exponential(s * small)
     phi_near = s * hs / h
@@ -34,27 +37,27 @@ def ff_phi(x, s):
 
 
 def _mean_exponential(y):
-    """(e^y - 1)/y and its derivative, for |y| <= 1."""
-    value, slope = jnp.zeros_like(y), jnp.zeros_like(y)
-    for k in range(17, -1, -1):
-        slope = slope * y + value
-        value = value * y + 1 / float(np.prod(np.arange(1.0, k + 2)))
-    return value, slope
+    """(e^y - 1)/y = integral of e^(y t) over 0 <= t <= 1, and its derivative, for |y| <= 1/2.
+
+    Five Gauss points are exact to 4e-16 there, in every derivative, and quick to compile.
+    """
+    shape = (1,) * y.ndim + (5,)
+    nodes, weights = (jnp.asarray(v.reshape(shape), y.dtype) for v in (_T, _W))
+    terms = weights * jnp.exp(y[..., None] * nodes)
+    return terms.sum(-1), (nodes * terms).sum(-1)
 
 
-def ff_cumulative(u, log_d, s):
-    x = log_d + jnp.log(u)
-    phi, _ = ff_phi(x, s)
-    back, _ = ff_phi(log_d, s)
-    # 1 - phi(s) = delta^s phi(1 - s): no cancellation where little is scattered inside u.
-    small = jnp.exp(s * x) * ff_phi(x, 1 - s)[0]
-    return small + u * phi + (1 - u) * back * u * (1 - 2 * u) / 2
-
-
-def ff_density(u, log_d, s):
+def ff_density(u, inner: float, log_d, s):
+    """(4 pi p at u, fraction F scattered inside u = inner); D = e^log_d."""
+    # The three scalar values of phi in one go: it halves what there is to compile.
+    edge = log_d + math.log(inner)
+    phi, _ = ff_phi(jnp.stack([log_d, edge, edge]), jnp.stack([s, s, 1 - s]))
+    back, at_edge, complement = phi
+    # 1 - phi(s) = delta^s phi(1 - s): no cancellation where little is scattered inside.
+    inside = jnp.exp(s * edge) * complement + inner * at_edge
+    inside = inside + (1 - inner) * back * inner * (1 - 2 * inner) / 2
     phi, slope = ff_phi(log_d + jnp.log(u), s)
-    back, _ = ff_phi(log_d, s)
-    return phi - (1 - u) * slope / u + back * (0.5 - 3 * u * (1 - u))
+    return phi - (1 - u) * slope / u + back * (0.5 - 3 * u * (1 - u)), inside
 
 
 def ff_backscatter(log_d, s):

@@ -211,24 +211,21 @@ class FournierForand(AbstractPhase):
 
     @eqx.filter_jit
     def __call__(self, cos_theta: Float[Array, "..."]) -> Float[Array, "..."]:
-        shape = self._shape(cos_theta.dtype)
         half = (1 - cos_theta) / 2  # sin^2(theta/2)
         cap = math.sin(math.radians(_CAP_DEGREES) / 2) ** 2
-        cone_mean = _math.ff_cumulative(jnp.asarray(cap, cos_theta.dtype), *shape) / (
-            4 * np.pi * cap
-        )
-        outside = _math.ff_density(jnp.clip(half, cap, 1.0), *shape) / (4 * np.pi)
-        return jnp.where(half < cap, cone_mean, outside)
+        shape = self._shape(cos_theta.dtype)
+        outside, cone = _math.ff_density(jnp.clip(half, cap, 1.0), cap, *shape)
+        return jnp.where(half < cap, cone / cap, outside) / (4 * np.pi)
 
     @eqx.filter_jit
     def moments(self, order: int) -> Float[Array, " moment"]:
         angles, weights = _math.angular_quadrature(_math.log_panels(order))
-        shape = self._shape(self.index.dtype)
-        half = jnp.asarray(np.sin(angles / 2) ** 2, self.index.dtype)
-        measure = jnp.asarray(weights * np.sin(angles) / 2, self.index.dtype)
-        rest = jnp.asarray(math.sin(_math.SMALLEST_ANGLE / 2) ** 2, self.index.dtype)
-        forward = _math.ff_cumulative(rest, *shape)
-        return _math.legendre_sums(half, measure * _math.ff_density(half, *shape), order) + forward
+        dtype = self.index.dtype
+        half = jnp.asarray(np.sin(angles / 2) ** 2, dtype)
+        solid = jnp.asarray(weights * np.sin(angles) / 2, dtype)
+        smallest = math.sin(_math.SMALLEST_ANGLE / 2) ** 2
+        density, forward = _math.ff_density(half, smallest, *self._shape(dtype))
+        return _math.legendre_sums(half, solid * density, order) + forward
 
     @property
     @eqx.filter_jit
