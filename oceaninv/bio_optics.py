@@ -1,6 +1,7 @@
 """Bio-optical models: from what is dissolved and suspended in water to its optical properties."""
 
 import abc
+import functools
 import warnings
 from collections.abc import Sequence
 
@@ -72,9 +73,20 @@ def particle_phase(backscatter_ratio: ScalarLike) -> Mixture:
     """
     low, high = _SHAPES
     share = jnp.clip((jnp.asarray(backscatter_ratio, dtype=float) - low) / (high - low), 0.0, 1.0)
+    return Mixture(jnp.stack([1.0 - share, share]), _particle_shapes())
+
+
+@functools.cache
+def _particle_shapes() -> tuple[AbstractPhase, ...]:
     with jax.ensure_compile_time_eval():
-        shapes = (FournierForand(low), FournierForand(high))
-    return Mixture(jnp.stack([1.0 - share, share]), shapes)
+        return tuple(FournierForand(ratio) for ratio in _SHAPES)
+
+
+def _shapes(phase: AbstractPhase):
+    """(weight, fixed shape) of a phase function; a lone shape has weight None."""
+    if isinstance(phase, Mixture):
+        return list(zip(phase.weights, phase.phases, strict=True))
+    return [(None, phase)]
 
 
 class AbstractConstituent(eqx.Module):
@@ -305,7 +317,7 @@ class BioOpticalModel(eqx.Module):
         pure_a = water.absorption(wavelength, self.water_absorption, *options)
         pure_b = water.scattering(wavelength, self.water_scattering, *options)
         a_rows, b_rows = [jnp.asarray(pure_a, dtype)], [jnp.asarray(pure_b, dtype)]
-        phases: list[AbstractPhase] = [Seawater(water.phase_constant(self.water_scattering))]
+        shapes: list[AbstractPhase] = [Seawater(water.phase_constant(self.water_scattering))]
         absorbers, scatterers = ["water"], ["water"]
         for name, constituent in known.items():
             if name not in constituents.amounts:
@@ -316,14 +328,23 @@ class BioOpticalModel(eqx.Module):
             if a is not None:
                 a_rows.append(a)
                 absorbers.append(name)
-            if b is not None:
-                if constituent.phase is None:
-                    raise ValueError(f"constituent {name!r} scatters but has no phase function.")
-                b_rows.append(b)
-                phases.append(constituent.phase)
-                scatterers.append(name)
+            if b is None:
+                continue
+            if constituent.phase is None:
+                raise ValueError(f"constituent {name!r} scatters but has no phase function.")
+            for weight, shape in _shapes(constituent.phase):
+                share = b if weight is None else weight.astype(b.dtype) * b
+                # Constituents that share a shape share a row: each shape is evaluated once.
+                row = next((i for i, s in enumerate(shapes) if s is shape), None)
+                if row is None:
+                    b_rows.append(share)
+                    shapes.append(shape)
+                    scatterers.append(name)
+                else:
+                    b_rows[row] = b_rows[row] + share
+                    scatterers[row] += f"+{name}"
         return IOPs(
-            wavelength, jnp.stack(a_rows), jnp.stack(b_rows), tuple(phases), absorbers, scatterers
+            wavelength, jnp.stack(a_rows), jnp.stack(b_rows), tuple(shapes), absorbers, scatterers
         )
 
 

@@ -13,11 +13,13 @@ agree (K = k0), where the diffuse light does not decay (K = 0: s = z), nor where
 the sunbeam.
 """
 
+import functools
+
 import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from oceaninv._numerics import exp_mean, exp_mean3, safe_sqrt
+from oceaninv._numerics import exp_mean, exp_mean3
 from oceaninv.iops import IOPs
 from oceaninv.optics import Rays, fresnel_from_water, scattering_half_sine
 from oceaninv.scene import Scene
@@ -58,12 +60,12 @@ class Terms(eqx.Module):
     mixed: Float[Array, " wl"] | None = None
     grow: Float[Array, " wl"] | None = None
 
-    def __call__(self, decay, beam, mixed, grow) -> Float[Array, "..."]:
-        """The sum of the terms that exist, given the value of each basis function."""
-        total = self.decay * decay()
+    def __call__(self, decay, beam, mixed, grow) -> Float[Array, "rows wl"]:
+        """The sum of the terms that exist, given the values (rows, wl) of each basis function."""
+        total = self.decay[None, :] * decay()
         for coefficient, basis in ((self.beam, beam), (self.mixed, mixed), (self.grow, grow)):
             if coefficient is not None:
-                total = total + coefficient * basis()
+                total = total + coefficient[None, :] * basis()
         return total
 
 
@@ -99,54 +101,47 @@ class Field(eqx.Module):
         def slope():
             return 0.5 * (jnp.exp(-k * (self.bottom - z)) + jnp.exp(-k * (self.bottom + z)))
 
-        return _rows(self.e)(*shared, grow), _rows(self.f)(*shared, slope)
+        return self.e(*shared, grow), self.f(*shared, slope)
 
     def direct(self, z: Float[Array, " depth"]) -> Float[Array, "depth wl"]:
         """Irradiance normal to the (softened) sunbeam at depths z."""
         return self.beam[None, :] * jnp.exp(-self.k0[None, :] * z[:, None])
 
 
-def _rows(tree):
-    """The same terms with a leading axis for depths or rays."""
-    if isinstance(tree, Terms):
-        return Terms(
-            *(
-                None if x is None else x[None, :]
-                for x in (tree.decay, tree.beam, tree.mixed, tree.grow)
-            )
-        )
-    return tree[None, :]
-
-
-def _source_integral(field: Field, scene: Scene, z, rays_down, half_sine, looking_down: bool):
+def _source_integral(field: Field, scene: Scene, z, rays_down, half_sine):
     """In-scattered radiance along rays that run to the floor (or for ever) or to the surface.
 
-    `z` (ray, 1): starting depths; `rays_down` (ray, 1): change of depth per metre of ray, of the
-    sign that `looking_down` says; `half_sine` (ray,): of half the scattering angle.  Returns radiance and
-    the softened transmittance of the whole ray, both (ray, wl).
+    The first half of the rays looks down, the second half up: one program serves both.  `z`
+    (ray, 1): starting depths; `rays_down` (ray, 1): change of depth per metre of ray; `half_sine`
+    (ray,): sine of half the scattering angle.  Returns radiance and the softened transmittance of
+    the whole ray, both (ray, wl).
     """
     k, k0, mu0 = field.K[None, :], field.k0[None, :], field.mu0
     water = field.water
     c_star = water.c_star[None, :]
-    if not looking_down:
-        length, end = -z / rays_down, jnp.zeros_like(z)
-    elif field.bottom is None:
-        length, end = jnp.full_like(z, ENDLESS), z + ENDLESS * rays_down
+    lower, upper = (slice(None, z.shape[0] // 2), slice(z.shape[0] // 2, None))
+    if field.bottom is None:
+        fall = jnp.full_like(z[lower], ENDLESS)
+        ground = z[lower] + ENDLESS * rays_down[lower]
     else:
-        length, end = (field.bottom - z) / rays_down, jnp.broadcast_to(field.bottom, z.shape)
+        fall = (field.bottom - z[lower]) / rays_down[lower]
+        ground = jnp.broadcast_to(field.bottom, fall.shape)
+    length = jnp.concatenate([fall, -z[upper] / rays_down[upper]])
+    end = jnp.concatenate([ground, jnp.zeros_like(z[upper])])
+    transmitted = jnp.exp(-c_star * length)
 
     def along(rate):
         return length * exp_mean(rate * z, rate * end + c_star * length)
 
     def mixed():
-        if not looking_down:
-            return -length * z * exp_mean3(k * z, k0 * z, c_star * length)
-        start = -z * exp_mean(k * z, k0 * z)
+        start = -z[lower] * exp_mean(k * z[lower], k0 * z[lower])
         if field.bottom is not None:
-            at_floor = end * exp_mean(k * end, k0 * end)
-            start = start + jnp.exp(-c_star * length) * at_floor
-        rate = c_star + k0 * rays_down
-        return (start - rays_down * along(k)) / jnp.where(rate > 0, rate, 1.0)
+            start = start + transmitted[lower] * ground * exp_mean(k * ground, k0 * ground)
+        rate = c_star + k0 * rays_down[lower]
+        below = (start - rays_down[lower] * decaying[lower]) / jnp.where(rate > 0, rate, 1.0)
+        up, rise = z[upper], length[upper]
+        above = -rise * up * exp_mean3(k * up, k0 * up, c_star * rise)
+        return jnp.concatenate([below, above])
 
     def floor_rates(sign):
         near = k * (field.bottom + sign * z)
@@ -160,9 +155,14 @@ def _source_integral(field: Field, scene: Scene, z, rays_down, half_sine, lookin
     def slope():
         return 0.5 * length * (exp_mean(*floor_rates(-1.0)) + exp_mean(*floor_rates(1.0)))
 
-    shared = (lambda: along(k), lambda: along(k0), mixed)
-    isotropic = water.b_star[None, :] * _rows(field.e)(*shared, grow)
-    forward = -3.0 * rays_down * water.bg_star[None, :] * _rows(field.f)(*shared, slope)
+    decaying = along(k)
+    shared = (
+        lambda: decaying,
+        functools.cache(lambda: along(k0)),
+        functools.cache(mixed),
+    )
+    isotropic = water.b_star[None, :] * field.e(*shared, grow)
+    forward = -3.0 * rays_down * water.bg_star[None, :] * field.f(*shared, slope)
     multiple = (isotropic + forward) / (4.0 * jnp.pi)
 
     # Single scattering keeps the true phase function; light turned through a small angle is not
@@ -175,41 +175,40 @@ def _source_integral(field: Field, scene: Scene, z, rays_down, half_sine, lookin
         * length
         * exp_mean(z * c_single / mu0, (end / mu0 + length) * c_single)
     )
-    return multiple + single, jnp.exp(-c_star * length)
+    return multiple + single, transmitted
 
 
 def _endless(field: Field, scene: Scene, floor_radiance, z, direction):
     """Radiance of rays that end at the floor, at the surface or never, (ray, wl).  z: (ray,)."""
     steep = jnp.maximum(jnp.abs(direction[:, 2]), _HORIZON)[:, None]
-    down = direction[:, 2] >= 0
+    down = direction[:, 2:] >= 0
     depth = z[:, None]
-    half_sine = scattering_half_sine(direction, field.mu0)
-    if scene.surface is None:
-        mirrored_depth, mirrored_half_sine = depth, half_sine
-    else:
-        # Rays that look up see the water from below, mirrored in the surface: one evaluation
-        # serves them (from depth 0) and the rays that look down.
-        mirrored = jnp.concatenate([direction[:, :2], steep], axis=1)
-        mirrored_half_sine = scattering_half_sine(mirrored, field.mu0)
-        mirrored_depth = jnp.where(down[:, None], depth, 0.0)
-    below, transmitted = _source_integral(
-        field, scene, mirrored_depth, steep, mirrored_half_sine, True
+    # Rays that look up see the water from below, mirrored in the surface: from depth 0 they share
+    # an evaluation with the rays that look down.
+    mirrored = jnp.concatenate([direction[:, :2], steep], axis=1)
+    radiance, transmitted = _source_integral(
+        field,
+        scene,
+        jnp.concatenate([jnp.where(down, depth, 0.0), depth]),
+        jnp.concatenate([steep, -steep]),
+        scattering_half_sine(jnp.concatenate([mirrored, direction]), field.mu0),
     )
+    below, above = jnp.split(radiance, 2)
+    to_floor, to_surface = jnp.split(transmitted, 2)
     if floor_radiance is not None:
-        below = below + floor_radiance[None, :] * transmitted
-    above, transmitted = _source_integral(field, scene, depth, -steep, half_sine, False)
+        below = below + floor_radiance[None, :] * to_floor
     sky = scene.light.diffuse
     if scene.surface is None:
         if sky is not None:
-            above = above + sky[None, :] * transmitted
+            above = above + sky[None, :] * to_surface
     else:
         index = scene.surface.index.astype(z.dtype)
         reflectance = fresnel_from_water(steep, index)
         seen = reflectance * below
         if sky is not None:
             seen = seen + (1.0 - reflectance) * index**2 * sky[None, :]
-        above = above + seen * transmitted
-    return jnp.where(down[:, None], below, above)
+        above = above + seen * to_surface
+    return jnp.where(down, below, above)
 
 
 def radiance(
