@@ -221,7 +221,7 @@ def _solve(parameters, readings, transport, sunlight):
     optimum = least_squares(residual, parameters.start(), observed)
 
     def outcome(x):
-        return water_quantities(parameters.values(x), WAVELENGTH)
+        return water_quantities(parameters.values(x), WAVELENGTH, transport)
 
     quantities, slopes = value_and_jacobian(outcome, optimum.x)
     model = _predict_all(parameters, readings, transport, sunlight, optimum.x)

@@ -52,7 +52,7 @@ def quantile(level: float, dof: float | None = None) -> float:
 class Predictive:
     """Observations beside what the fitted model predicts, all of one shape.
 
-    `sd`: of the prediction of a new observation (parameters and noise); `label` names the axes.
+    `sd`: noise of one observation; `axes`: names of the axes; `coords`: values along them.
     """
 
     observed: np.ndarray
@@ -60,6 +60,7 @@ class Predictive:
     sd: np.ndarray
     axes: tuple[str, ...]
     unit: str
+    coords: Mapping[str, np.ndarray] = dataclasses.field(default_factory=dict)
 
 
 @dataclasses.dataclass(frozen=True)

@@ -260,7 +260,12 @@ def _noise_sd(profile: Profile, bands: BandFit, model: np.ndarray) -> np.ndarray
 def _predictive(profile, mask, bands, model) -> Predictive:
     observed = np.where(mask, profile.Ed, np.nan)
     return Predictive(
-        observed, model, _noise_sd(profile, bands, model), ("depth", "wavelength"), "W m-2 nm-1"
+        observed,
+        model,
+        _noise_sd(profile, bands, model),
+        ("depth", "wavelength"),
+        "W m-2 nm-1",
+        {"depth": profile.depth},
     )
 
 
@@ -327,7 +332,7 @@ def _solve_constituents(parameters, grid, transport, cast: _Cast):
     optimum = least_squares(residual, parameters.start(), cast)
 
     def outcome(x):
-        quantities = water_quantities(parameters.values(x), np.asarray(grid))
+        quantities = water_quantities(parameters.values(x), np.asarray(grid), transport)
         return quantities, _model_ed(parameters, grid, transport, x, cast.depth)
 
     (quantities, model), (slopes, _) = value_and_jacobian(outcome, optimum.x)

@@ -271,7 +271,9 @@ class BioOpticalModel(eqx.Module):
       `CDOM()`, `Detritus()`, `Minerals()`.
     - `water_absorption`, `water_scattering`: sources by author and year, see
       `oceaninv.water.absorption` and `oceaninv.water.scattering`.
-    - `temperature` (deg C), `salinity`: of the water.
+    - `temperature` (deg C), `salinity`: of the water.  `None` takes absorption as its table has
+      it (IOCCG 2018 gives no salinity slope below 400 nm) and scattering of sea water at 20 deg C
+      and salinity 35.
 
     >>> model = BioOpticalModel()
     >>> model.iops(Constituents(chlorophyll=1.0, cdom=0.1), [450.0, 550.0]).a.shape
@@ -281,24 +283,24 @@ class BioOpticalModel(eqx.Module):
     constituents: tuple[AbstractConstituent, ...]
     water_absorption: str = eqx.field(static=True)
     water_scattering: str = eqx.field(static=True)
-    temperature: float = eqx.field(static=True)
-    salinity: float = eqx.field(static=True)
+    temperature: float | None = eqx.field(static=True)
+    salinity: float | None = eqx.field(static=True)
 
     def __init__(
         self,
         constituents: Sequence[AbstractConstituent] | None = None,
         water_absorption: str = "IOCCG2018",
         water_scattering: str = "Zhang2009",
-        temperature: float = 20.0,
-        salinity: float = 35.0,
+        temperature: float | int | None = None,
+        salinity: float | int | None = None,
     ):
         if constituents is None:
             constituents = (Phytoplankton(), CDOM(), Detritus(), Minerals())
         self.constituents = tuple(constituents)
         self.water_absorption = water_absorption
         self.water_scattering = water_scattering
-        self.temperature = float(temperature)
-        self.salinity = float(salinity)
+        self.temperature = temperature
+        self.salinity = salinity
 
     def iops(self, constituents: Constituents, wavelength) -> IOPs:
         """Optical properties of water that holds `constituents`, in the dtype of the amounts.
@@ -313,9 +315,15 @@ class BioOpticalModel(eqx.Module):
                 raise tables.unknown("constituent", name, sorted(known))
         amounts = list(constituents.amounts.values())
         dtype = jnp.result_type(*amounts) if amounts else jnp.result_type(float)
-        options = (self.temperature, self.salinity)
-        pure_a = water.absorption(wavelength, self.water_absorption, *options)
-        pure_b = water.scattering(wavelength, self.water_scattering, *options)
+        pure_a = water.absorption(
+            wavelength, self.water_absorption, self.temperature, self.salinity
+        )
+        pure_b = water.scattering(
+            wavelength,
+            self.water_scattering,
+            20.0 if self.temperature is None else self.temperature,
+            35.0 if self.salinity is None else self.salinity,
+        )
         a_rows, b_rows = [jnp.asarray(pure_a, dtype)], [jnp.asarray(pure_b, dtype)]
         shapes: list[AbstractPhase] = [Seawater(water.phase_constant(self.water_scattering))]
         absorbers, scatterers = ["water"], ["water"]

@@ -33,8 +33,8 @@ def absorption(
     - `wavelength`: nm, concrete, within the table (never extrapolated).
     - `source`: "IOCCG2018" (300-800 nm), "WOPPv3" (300-800 nm), "PopeFry1997" (380-727.5 nm) or
       "SmithBaker1981" (200-800 nm: clearest natural waters, an upper bound below 420 nm).
-    - `temperature`: degC, 0 to 30. None: 20 where the table has slopes, else the table's own.
-    - `salinity`: practical, 0 to 40. None: 35 where the table has slopes, else the table's own.
+    - `temperature`: degC, 0 to 30. None: the table's own.
+    - `salinity`: practical, 0 to 40. None: the table's own (fresh water).
 
     The first two tables have slopes with temperature and salinity (linear, from 22 and 20 degC
     and from fresh water). Pope & Fry measured fresh water at 22 degC and gave none, so that
@@ -59,7 +59,8 @@ def absorption(
     if source not in _WITH_SLOPES:
         raise tables.unknown("Source of water absorption", source, [*_WITH_SLOPES, *_FIXED])
     table = tables.load(source)
-    temperature, salinity = _condition(temperature, salinity)
+    temperature = _WITH_SLOPES[source] if temperature is None else temperature
+    temperature, salinity = _condition(temperature, 0.0 if salinity is None else salinity)
     a = table.at(wavelength, "a")
     a = a + (temperature - _WITH_SLOPES[source]) * table.at(wavelength, "a_temperature")
     if salinity == 0:

@@ -132,10 +132,11 @@ def test_absorption_slopes():
     assert got == pytest.approx(0.23525 - 15 * 0.000759 - 30 * 4.33e-5, rel=1e-12)
 
 
-def test_absorption_defaults_to_sea_water_at_20_degrees():
-    for source in ("IOCCG2018", "WOPPv3"):
+def test_absorption_defaults_to_the_tables_own_condition():
+    for source, temperature in (("IOCCG2018", 22.0), ("WOPPv3", 20.0)):
         got = water.absorption(WAVELENGTH, source)
-        np.testing.assert_array_equal(got, water.absorption(WAVELENGTH, source, 20.0, 35.0))
+        np.testing.assert_array_equal(got, tables.load(source).at(WAVELENGTH, "a"))
+        np.testing.assert_array_equal(got, water.absorption(WAVELENGTH, source, temperature, 0.0))
 
 
 def test_absorption_stays_positive_over_all_conditions():
@@ -166,7 +167,7 @@ def test_smith_baker_is_the_same_in_all_natural_waters():
 
 def test_salinity_slope_missing_in_the_ultraviolet():
     with pytest.raises(ValueError, match=r"'a_salinity' at 390 nm.*Ask for salinity=0"):
-        water.absorption([390.0, 500.0])
+        water.absorption([390.0, 500.0], salinity=35.0)
     assert water.absorption([390.0], temperature=22.0, salinity=0.0)[0] == 0.0048
 
 

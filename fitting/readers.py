@@ -1,0 +1,214 @@
+"""Measurements from files: plain csv with a header of `# key: value` lines."""
+
+import csv
+import dataclasses
+import difflib
+import fnmatch
+import re
+from pathlib import Path
+
+import numpy as np
+
+import oceaninv as oi
+from fitting.observations import Background, Chart, Photo, Profile
+
+# Factors to W m-2 nm-1.
+_IRRADIANCE_UNITS = {"W m-2 nm-1": 1.0, "W/m2/nm": 1.0, "uW cm-2 nm-1": 1e-2, "uW/cm2/nm": 1e-2}
+
+
+@dataclasses.dataclass(frozen=True)
+class Sheet:
+    """A csv file: header lines by key, column names, rows of text."""
+
+    path: Path
+    header: dict[str, str]
+    columns: list[str]
+    rows: list[list[str]]
+
+    def numbers(self, column: str) -> np.ndarray:
+        """A column as floats; blanks are NaN, other text is an error naming the row."""
+        index = self.columns.index(column)
+        values = []
+        for line, row in enumerate(self.rows, start=1):
+            text = row[index].strip()
+            try:
+                values.append(float(text) if text else np.nan)
+            except ValueError:
+                raise ValueError(
+                    f"{self.path}: column {column!r}, data row {line}: {text!r} is not a number."
+                ) from None
+        return np.asarray(values)
+
+    def texts(self, column: str) -> list[str]:
+        """A column as text."""
+        index = self.columns.index(column)
+        return [row[index].strip() for row in self.rows]
+
+    def require(self, *columns: str) -> None:
+        """ValueError that names the missing columns and what is there instead."""
+        missing = [name for name in columns if name not in self.columns]
+        if missing:
+            near = difflib.get_close_matches(missing[0], self.columns, n=3, cutoff=0.5)
+            hint = f" Near it: {', '.join(near)}." if near else ""
+            raise ValueError(
+                f"{self.path}: column {', '.join(map(repr, missing))} is missing; the file has "
+                f"{', '.join(self.columns)}.{hint}"
+            )
+
+    def unit(self, column: str) -> str:
+        """Unit of a column from the `# units:` line; ValueError when it is not stated."""
+        for pair in self.header.get("units", "").split(","):
+            pattern, _, unit = pair.strip().partition("=")
+            if unit and fnmatch.fnmatchcase(column, pattern):
+                return unit
+        raise ValueError(
+            f"{self.path}: the unit of column {column!r} is not stated; write a header line such "
+            f"as '# units: {column}=...'."
+        )
+
+
+def read_sheet(path: str | Path) -> Sheet:
+    """Read a csv file with comment header; ValueError says what is wrong and where."""
+    path = Path(path)
+    raw = path.read_bytes()
+    if b"\x00" in raw:
+        raise ValueError(
+            f"{path} holds NUL bytes: it is not a text file, or was cut while written."
+        )
+    try:
+        lines = raw.decode("utf-8-sig").splitlines()
+    except UnicodeDecodeError as error:
+        raise ValueError(f"{path} is not UTF-8 text (byte {error.start}).") from None
+    header = {}
+    for line in lines:
+        if line.startswith("#"):
+            key, _, value = line[1:].partition(":")
+            header[key.strip()] = value.strip()
+    table = list(csv.reader(line for line in lines if line.strip() and not line.startswith("#")))
+    if len(table) < 2:
+        raise ValueError(f"{path} holds no data: a row of column names and rows of values wanted.")
+    columns = [name.strip() for name in table[0]]
+    for number, row in enumerate(table[1:], start=1):
+        if len(row) != len(columns):
+            raise ValueError(
+                f"{path}: data row {number} has {len(row)} values for {len(columns)} columns."
+            )
+    return Sheet(path, header, columns, table[1:])
+
+
+def read_profile(path: str | Path, solar_zenith: float | None = None) -> Profile:
+    """A cast: column `depth` (m) and columns `Ed_<wavelength in nm>`, units in the header.
+
+    Irradiance may be in W m-2 nm-1 or uW cm-2 nm-1 and is returned in the former; a missing or
+    other unit is refused.  `solar_zenith` (degrees) overrides the header's `solar_zenith`.
+    """
+    sheet = read_sheet(path)
+    sheet.require("depth")
+    if sheet.unit("depth") != "m":
+        raise ValueError(f"{sheet.path}: depth must be in m, not {sheet.unit('depth')!r}.")
+    bands = [name for name in sheet.columns if re.fullmatch(r"Ed_\d+(\.\d+)?", name)]
+    if not bands:
+        raise ValueError(
+            f"{sheet.path}: no irradiance column; name them Ed_<nm>, for instance Ed_490. The file "
+            f"has {', '.join(sheet.columns)}."
+        )
+    scaled = []
+    for name in bands:
+        unit = sheet.unit(name)
+        if unit not in _IRRADIANCE_UNITS:
+            raise ValueError(
+                f"{sheet.path}: {name} is in {unit!r}; known are {', '.join(_IRRADIANCE_UNITS)}."
+            )
+        scaled.append(sheet.numbers(name) * _IRRADIANCE_UNITS[unit])
+    if solar_zenith is None and "solar_zenith" in sheet.header:
+        solar_zenith = _header_number(sheet, "solar_zenith")
+    wavelength = [float(name[3:]) for name in bands]
+    try:
+        return Profile(
+            sheet.numbers("depth"),
+            wavelength,
+            np.stack(scaled, axis=1),
+            solar_zenith=solar_zenith,
+            source=str(path),
+        )
+    except ValueError as error:
+        raise ValueError(f"{sheet.path}: {error}") from None
+
+
+def read_photo(
+    path: str | Path,
+    depth: float,
+    depth_sd: float = 0.02,
+    camera: str | None = None,
+    solar_zenith: float = 40.0,
+    field_noise: float = 0.03,
+) -> tuple[Photo, int]:
+    """Chart and background readings of one photograph, and how many rows were left out as clipped.
+
+    Columns: kind (chart or background), chart (name), reflectance (0-1, neutral), range (m),
+    zenith (degrees of the line of sight), R, G, B (linear) and R_sd, G_sd, B_sd; optional
+    `clipped` (1 leaves the row out).  `field_noise`: relative scatter that is added to the stated
+    standard deviations (caustics, unevenness).  `camera`: a name of the response table,
+    "generic", or None for the header's `camera`.
+    """
+    sheet = read_sheet(path)
+    channels = ["R", "G", "B"]
+    sheet.require(
+        "kind", "chart", "reflectance", "range", "zenith", *channels, *(f"{c}_sd" for c in channels)
+    )
+    if sheet.unit("range") != "m":
+        raise ValueError(f"{sheet.path}: range must be in m, not {sheet.unit('range')!r}.")
+    values = np.stack([sheet.numbers(c) for c in channels], axis=1)
+    sd = np.stack([sheet.numbers(f"{c}_sd") for c in channels], axis=1)
+    sd = np.hypot(sd, field_noise * values)
+    keep = np.ones(len(values), dtype=bool)
+    if "clipped" in sheet.columns:
+        keep = sheet.numbers("clipped") != 1
+    kinds, names = sheet.texts("kind"), sheet.texts("chart")
+    for row, kind in enumerate(kinds, start=1):
+        if kind not in ("chart", "background"):
+            raise ValueError(
+                f"{sheet.path}: data row {row}: kind is {kind!r}; chart or background wanted."
+            )
+    zenith, distance = sheet.numbers("zenith"), sheet.numbers("range")
+    reflectance = sheet.numbers("reflectance")
+    is_chart = np.array([kind == "chart" for kind in kinds])
+    try:
+        charts = []
+        for name in dict.fromkeys(n for n, k in zip(names, kinds, strict=True) if k == "chart"):
+            rows = is_chart & keep & np.array([n == name for n in names])
+            if rows.any():
+                charts.append(
+                    Chart(
+                        values[rows],
+                        reflectance[rows],
+                        float(np.median(distance[rows])),
+                        sd[rows],
+                        float(np.median(zenith[rows])),
+                        name,
+                    )
+                )
+        rows = ~is_chart & keep
+        backgrounds = [Background(values[rows], zenith[rows], sd[rows])] if rows.any() else []
+        name = sheet.header.get("camera", "generic") if camera is None else camera
+        response = None if name == "generic" else oi.spectrum.camera_response(name)
+        photo = Photo(
+            charts,
+            backgrounds,
+            depth=depth,
+            depth_sd=depth_sd,
+            response=response,
+            solar_zenith=solar_zenith,
+            source=str(path),
+        )
+    except ValueError as error:
+        raise ValueError(f"{sheet.path}: {error}") from None
+    return photo, int((~keep).sum())
+
+
+def _header_number(sheet: Sheet, key: str) -> float:
+    text = sheet.header[key]
+    try:
+        return float(text)
+    except ValueError:
+        raise ValueError(f"{sheet.path}: header {key!r} is {text!r}, not a number.") from None

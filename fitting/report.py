@@ -1,0 +1,269 @@
+"""Results as files: CF-style datasets and pictures, written whole or not at all."""
+
+import contextlib
+import os
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from fitting.posterior import Fit, Quantity
+
+if TYPE_CHECKING:
+    import xarray
+
+_STANDARD_NAMES = {
+    "Kd": "volume_attenuation_coefficient_of_downwelling_radiative_flux_in_sea_water",
+    "c": "volume_beam_attenuation_coefficient_of_radiative_flux_in_sea_water",
+    "bb": "volume_backwards_scattering_coefficient_of_radiative_flux_in_sea_water",
+    "Ed": "downwelling_radiative_flux_per_unit_wavelength_in_sea_water",
+    "chlorophyll": "mass_concentration_of_chlorophyll_a_in_sea_water",
+}
+LEVEL = 0.95
+
+
+@contextlib.contextmanager
+def whole(path: str | Path) -> Iterator[Path]:
+    """A temporary name beside `path` that becomes `path` only when the block ends well."""
+    path = Path(path)
+    if not path.parent.is_dir():
+        raise ValueError(f"cannot write {path}: the folder {path.parent} does not exist.")
+    handle, name = tempfile.mkstemp(suffix=path.suffix, prefix=f".{path.stem}-", dir=path.parent)
+    os.close(handle)
+    try:
+        yield Path(name)
+        os.chmod(name, 0o644)
+        os.replace(name, path)
+    finally:
+        Path(name).unlink(missing_ok=True)
+
+
+def dataset(fit: Fit) -> "xarray.Dataset":
+    """Parameters, quantities and observations of a fit with CF attributes.
+
+    95 % intervals carry the suffixes _low and _high; a parameter that the data do not fix has
+    `identifiable` 0.
+    """
+    import xarray as xr
+
+    names = list(fit.parameters.names)
+    low, high = np.array([fit.interval(name, LEVEL) for name in names]).T
+    data: dict = {
+        "value": ("parameter", np.array(list(fit.value.values())), {"long_name": "best value"}),
+        "low": ("parameter", low, {"long_name": "lower end of the 95 % interval"}),
+        "high": ("parameter", high, {"long_name": "upper end of the 95 % interval"}),
+        "identifiable": (
+            "parameter",
+            np.array(list(fit.identifiable.values()), dtype=np.int8),
+            {
+                "long_name": "whether the data fix the parameter",
+                "flag_values": np.array([0, 1], dtype=np.int8),
+                "flag_meanings": "prior_dominated fixed_by_data",
+            },
+        ),
+        "parameter_unit": ("parameter", np.array([p.unit for p in fit.parameters], dtype=str)),
+        "correlation": (
+            ("parameter", "other"),
+            fit.correlation,
+            {"long_name": "correlation of the coordinates", "units": "1"},
+        ),
+    }
+    for name, quantity in fit.quantities.items():
+        dims = () if quantity.value.ndim == 0 else ("wavelength",)
+        attributes = {"units": quantity.unit, "long_name": quantity.long_name}
+        stem = name.split("_")[0]
+        if stem in _STANDARD_NAMES:
+            attributes["standard_name"] = _STANDARD_NAMES[stem]
+        below, above = quantity.interval(LEVEL, fit.dof)
+        data[name] = (dims, quantity.value, attributes)
+        for suffix, value in (("low", below), ("high", above)):
+            text = f"{suffix} end of the 95 % interval of {name}"
+            data[f"{name}_{suffix}"] = (dims, value, {"units": quantity.unit, "long_name": text})
+    predictive = fit.posterior_predictive
+    label = "Ed" if "depth" in predictive.axes else "reading"
+    for suffix, value in (
+        ("observed", predictive.observed),
+        ("predicted", predictive.predicted),
+        ("sd", predictive.sd),
+    ):
+        attributes = {"units": predictive.unit, "long_name": f"{suffix} {label}"}
+        if label == "Ed" and suffix != "sd":
+            attributes["standard_name"] = _STANDARD_NAMES["Ed"]
+        data[f"{label}_{suffix}"] = (predictive.axes, value, attributes)
+    coords: dict = {
+        "parameter": np.array(names, dtype=str),
+        "wavelength": (
+            "wavelength",
+            fit.wavelength,
+            {"units": "nm", "standard_name": "radiation_wavelength"},
+        ),
+    }
+    if "depth" in predictive.coords:
+        coords["depth"] = (
+            "depth",
+            predictive.coords["depth"],
+            {"units": "m", "standard_name": "depth", "positive": "down", "axis": "Z"},
+        )
+    if "channel" in predictive.axes:
+        coords["channel"] = np.array(["R", "G", "B"], dtype=str)
+    return xr.Dataset(
+        data,
+        coords,
+        {
+            "Conventions": "CF-1.11",
+            "title": "Fit of underwater light by oceaninv",
+            "result": fit.result,
+            "metadata": fit.metadata_json(),
+        },
+    )
+
+
+def save(path: str | Path, fit: Fit, constituents: Fit | None = None) -> None:
+    """Write a fit as netCDF; a fit of constituents goes into the group "constituents"."""
+    with whole(path) as temporary:
+        dataset(fit).to_netcdf(temporary, engine="h5netcdf")
+        if constituents is not None:
+            dataset(constituents).to_netcdf(
+                temporary, engine="h5netcdf", mode="a", group="constituents"
+            )
+
+
+def picture(fit: Fit, path: str | Path, constituents: Fit | None = None) -> None:
+    """Draw a fit (PNG): observations against the model, spectra with 95 % bands, unknowns."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(12.5, 4.6), layout="constrained")
+    FigureCanvasAgg(figure)
+    data, spectra, unknowns = figure.subplots(1, 3, width_ratios=(1.15, 1, 1))
+    if "depth" in fit.posterior_predictive.axes:
+        _draw_profile(data, fit)
+    else:
+        _draw_readings(data, fit)
+    _draw_spectra(spectra, fit, constituents)
+    _draw_unknowns(unknowns, constituents or fit)
+    figure.suptitle(str(fit.metadata.get("source", "")), fontsize=9, color="0.35")
+    with whole(path) as temporary:
+        figure.savefig(temporary, dpi=130)
+
+
+def _draw_profile(axes, fit: Fit) -> None:
+    from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
+
+    predictive = fit.posterior_predictive
+    depth = predictive.coords["depth"]
+    used = np.isfinite(predictive.observed).any(axis=1)
+    for i, wavelength in enumerate(fit.wavelength):
+        colour = wavelength_colour(wavelength)
+        observed, predicted = predictive.observed[:, i], predictive.predicted[:, i]
+        kept = np.isfinite(observed)
+        axes.plot(observed[kept], depth[kept], ".", ms=4, color=colour, alpha=0.55)
+        label = f"{wavelength:g} nm" if len(fit.wavelength) <= 8 else None
+        axes.plot(predicted[kept], depth[kept], "-", lw=1.4, color=colour, label=label)
+    axes.set(xscale="log", xlabel="Ed (W m$^{-2}$ nm$^{-1}$)", ylabel="depth (m)")
+    axes.set_ylim(depth[used].max() * 1.03, 0)
+    axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    axes.xaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
+    axes.xaxis.set_minor_formatter(NullFormatter())
+    axes.set_title("measured (dots) and fitted (lines)", fontsize=10)
+    if len(fit.wavelength) <= 8:
+        axes.legend(frameon=False, fontsize=9)
+
+
+def _draw_readings(axes, fit: Fit) -> None:
+    predictive = fit.posterior_predictive
+    for i, (name, colour) in enumerate(
+        zip("RGB", ("tab:red", "tab:green", "tab:blue"), strict=True)
+    ):
+        axes.errorbar(
+            predictive.predicted[:, i],
+            predictive.observed[:, i],
+            predictive.sd[:, i],
+            fmt="o",
+            ms=4,
+            lw=0.8,
+            color=colour,
+            label=name,
+        )
+    low = np.nanmin(predictive.observed) * 0.9
+    high = np.nanmax(predictive.observed) * 1.1
+    axes.plot([low, high], [low, high], "-", lw=0.8, color="0.5")
+    axes.set(xlabel="fitted linear camera value", ylabel="read from the photograph")
+    axes.set_title("readings", fontsize=10)
+    axes.legend(frameon=False, fontsize=9)
+
+
+def _draw_spectra(axes, fit: Fit, constituents: Fit | None) -> None:
+    shown: list[tuple[str, Quantity, np.ndarray, str, float | None]] = []
+    if constituents is not None:
+        shown.append(
+            (
+                "Kd, model",
+                constituents.quantities["Kd"],
+                constituents.wavelength,
+                "0.45",
+                constituents.dof,
+            )
+        )
+    shown.append(("Kd", fit.quantities["Kd"], fit.wavelength, "tab:blue", fit.dof))
+    if "c" in fit.quantities:
+        shown.append(("c", fit.quantities["c"], fit.wavelength, "tab:orange", fit.dof))
+    for label, quantity, wavelength, colour, dof in shown:
+        low, high = quantity.interval(LEVEL, dof)
+        if len(wavelength) > 8:
+            axes.fill_between(wavelength, low, high, color=colour, alpha=0.25, lw=0)
+            axes.plot(wavelength, quantity.value, color=colour, label=label)
+        else:
+            error = np.stack([quantity.value - low, high - quantity.value])
+            axes.errorbar(
+                wavelength,
+                quantity.value,
+                error,
+                fmt="o",
+                ms=5,
+                capsize=3,
+                color=colour,
+                label=label,
+            )
+    axes.set(xlabel="wavelength (nm)", ylabel="coefficient (m$^{-1}$)")
+    axes.set_ylim(0, None)
+    axes.set_title("attenuation with 95 % intervals", fontsize=10)
+    axes.legend(frameon=False, fontsize=9)
+
+
+def _draw_unknowns(axes, fit: Fit) -> None:
+    rows = [
+        (
+            f"{p.name} ({p.unit})",
+            fit.value[p.name],
+            fit.interval(p.name, LEVEL),
+            fit.identifiable[p.name],
+        )
+        for p in fit.parameters
+        if not p.nuisance
+    ]
+    scalars = [(n, q) for n, q in fit.quantities.items() if q.value.ndim == 0]
+    rows += [
+        (f"{name} ({q.unit})", float(q.value), q.interval(LEVEL, fit.dof), float(q.sd) <= 0.5)
+        for name, q in scalars
+    ]
+    for y, (label, value, (low, high), known) in enumerate(reversed(rows)):
+        colour = "tab:blue" if known else "0.6"
+        axes.plot([low, high], [y, y], "-", lw=5, color=colour, alpha=0.5, solid_capstyle="butt")
+        if known:
+            axes.plot(value, y, "o", ms=5, color=colour)
+        text = label if known else f"{label}\nnot identifiable"
+        axes.text(0.02, y + 0.16, text, fontsize=8, transform=axes.get_yaxis_transform())
+    axes.set(xscale="log", yticks=[], ylim=(-0.5, len(rows)), xlabel="value (95 % interval)")
+    axes.set_title("water", fontsize=10)
+
+
+def wavelength_colour(wavelength: float) -> tuple[float, float, float]:
+    """A legible screen colour for a band (nm): violet to red, darkened for paper."""
+    import matplotlib
+
+    spectrum = matplotlib.colormaps["turbo"]
+    red, green, blue, _ = spectrum(float(np.clip((wavelength - 370.0) / 340.0, 0.02, 0.98)))
+    return 0.85 * red, 0.85 * green, 0.85 * blue
