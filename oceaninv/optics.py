@@ -62,6 +62,7 @@ def fresnel_from_water(cos_water: Float[Array, "..."], index) -> Float[Array, ".
     squared = 1.0 - index**2 * (1.0 - cos_water**2)
     inside = squared > 0
     cos_air = safe_sqrt(squared)
+    cos_water = jnp.where(inside, cos_water, 1.0)  # no 0/0 at the horizon, where the answer is 1
     across = (index * cos_water - cos_air) / (index * cos_water + cos_air)
     along = (cos_water - index * cos_air) / (cos_water + index * cos_air)
     return jnp.where(inside, 0.5 * (across**2 + along**2), 1.0)

@@ -34,7 +34,7 @@ class Floor(eqx.Module):
     reflectance: Float[Array, " wl"]
 
     def __init__(self, depth, reflectance):
-        check_concrete("depth", depth, np.finfo(np.float32).tiny)
+        check_concrete("depth", depth, float(np.finfo(np.float32).tiny))
         check_concrete("reflectance", reflectance, 0.0, 1.0)
         self.reflectance = jnp.asarray(reflectance)
         self.depth = jnp.asarray(depth, dtype=self.reflectance.dtype)

@@ -22,7 +22,24 @@ mpmath.mp.dps = 60
 
 # Around the switch of formula (0.5), at nothing, at almost nothing, and beyond what e^-x can hold.
 POINTS = np.array(
-    [0.0, 1e-300, 1e-17, 1e-9, 1e-4, 0.03, 0.3, 0.4999, 0.5, 0.5001, 0.8, 1.7, 6.0, 30.0, 400.0, 1e5]
+    [
+        0.0,
+        1e-300,
+        1e-17,
+        1e-9,
+        1e-4,
+        0.03,
+        0.3,
+        0.4999,
+        0.5,
+        0.5001,
+        0.8,
+        1.7,
+        6.0,
+        30.0,
+        400.0,
+        1e5,
+    ]
 )
 
 
@@ -79,7 +96,9 @@ def test_exp_moment_derivatives(mode):
     assert _relative(second, [_moment(2, x) for x in POINTS]) < 2e-14
 
 
-PAIRS = [(a, a + d) for a in (0.0, 0.3, 7.0, 80.0) for d in (0.0, 1e-15, 1e-8, 1e-3, 0.7, 20.0, 1e4)]
+PAIRS = [
+    (a, a + d) for a in (0.0, 0.3, 7.0, 80.0) for d in (0.0, 1e-15, 1e-8, 1e-3, 0.7, 20.0, 1e4)
+]
 
 
 def test_exp_mean():

@@ -188,9 +188,12 @@ def _levels(this, depths, transport):
     """Irradiance of water i at its own depths: (depth, wl) in and out."""
 
     def column(depth):
-        return tuple(x.value for x in jax.tree.leaves(
-            oi.irradiance(this, depth, transport), is_leaf=lambda x: isinstance(x, oi.Estimate)
-        ))
+        return tuple(
+            x.value
+            for x in jax.tree.leaves(
+                oi.irradiance(this, depth, transport), is_leaf=lambda x: isinstance(x, oi.Estimate)
+            )
+        )
 
     every = jax.vmap(column, in_axes=1, out_axes=2)(depths)
     return tuple(jnp.stack([x[:, i, i] for i in range(depths.shape[1])], axis=1) for x in every)
@@ -246,7 +249,9 @@ def _printed(this, setting, truth, length):
     p = np.asarray(phase(setting[0])(jnp.clip(jnp.asarray(cosine), -1.0, 1.0)))
     x = path[:, None] * (1 + (down / mu0)[:, None]) * c
     x = np.where(np.abs(x) < 1e-9, 1e-9, x)
-    single = b * beam * p[:, None] * path[:, None] * np.exp(-c * z[:, None] / mu0) * -np.expm1(-x) / x
+    single = (
+        b * beam * p[:, None] * path[:, None] * np.exp(-c * z[:, None] / mu0) * -np.expm1(-x) / x
+    )
     return np.asarray(multiple) + single
 
 
@@ -332,17 +337,21 @@ def table(results):
     rows.append(_row("KdTransport, exact Kd 3-9 m given", _where(results, deep, "kd given")))
     label = "printed closure (exact Kd and Ed(0-)) + single scattering"
     rows.append(_row(label, _where(results, deep, "printed whole")))
-    rows.append(_row("the same without a surface", _where(
-        results, lambda s: deep(s) and s[2] is None, "printed whole")))
+    rows.append(
+        _row(
+            "the same without a surface",
+            _where(results, lambda s: deep(s) and s[2] is None, "printed whole"),
+        )
+    )
     rows.append(_row(f"TwoStream over {RANGE:g} m", _where(results, deep, "near")))
     rows.append(_row(f"printed closure over {RANGE:g} m", _where(results, deep, "printed near")))
     rows += ["\n## Irradiance to the 1 % level, |relative error|\n", head]
     for key in ("Ed", "Eu", "E0"):
         rows.append(_row(f"TwoStream {key}, sun only", _flux(results, sun_only, key)))
-        rows.append(_row(f"... deep", _flux(results, deep, key)))
+        rows.append(_row("... deep", _flux(results, deep, key)))
         floored = lambda s: s[3] is not None and not s[4]  # noqa: E731
-        rows.append(_row(f"... floor", _flux(results, floored, key)))
-        rows.append(_row(f"... 30 % sky", _flux(results, lambda s: s[4], key)))
+        rows.append(_row("... floor", _flux(results, floored, key)))
+        rows.append(_row("... 30 % sky", _flux(results, lambda s: s[4], key)))
     rows.append(_row("KdTransport Ed (Lee et al. 2005)", _flux(results, deep, "Ed", "kd Ed")))
     return "\n".join(rows)
 
@@ -359,7 +368,9 @@ def compare(truths):
 
 def main():
     jax.config.update("jax_enable_x64", True)
-    with multiprocessing.get_context("spawn").Pool(2, jax.config.update, ("jax_enable_x64", True)) as p:
+    with multiprocessing.get_context("spawn").Pool(
+        2, jax.config.update, ("jax_enable_x64", True)
+    ) as p:
         truths = p.map(exact, cases(), chunksize=8)
     report = table(compare(truths))
     print(report)

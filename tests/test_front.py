@@ -1,0 +1,127 @@
+"""The front ends: shapes, refusals, jit, and programs that hold only the terms of the scene."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import oceaninv as oi
+
+WAVELENGTH = np.array([450.0, 550.0, 650.0])
+DOWN = np.array([[0.0, 0.0, 1.0], [0.6, 0.0, 0.8]])
+
+
+def _scene(surface=True, floor=True, sky=True, a=None):
+    ones = jnp.ones(3)
+    a = jnp.asarray([0.05, 0.08, 0.35]) if a is None else a
+    water = oi.IOPs(WAVELENGTH, a, 0.2 * ones, oi.phase.HenyeyGreenstein(0.9))
+    return oi.Scene(
+        water,
+        oi.Light(30.0, ones, 0.1 * ones if sky else None),
+        oi.FlatSurface() if surface else None,
+        oi.Floor(10.0, 0.3 * ones) if floor else None,
+    )
+
+
+def _camera(width=3, height=2):
+    response = oi.spectrum.camera_response("Nikon D850")
+    return oi.Camera(
+        [0.0, 0.0, 2.0], [1.0, 0.0, 0.1], [0.0, 0.0, -1.0], 50.0, width, height, response
+    )
+
+
+def test_photograph_is_weighted_radiance():
+    scene, camera = _scene(), _camera()
+    picture = oi.photograph(scene, camera)
+    assert picture.value.shape == picture.stderr.shape == picture.bias.shape == (2, 3, 3)
+    seen = oi.radiance(scene, camera.rays())
+    weights = camera.response.weights(WAVELENGTH)
+    np.testing.assert_allclose(
+        picture.value.reshape(6, 3), np.asarray(seen.value) @ np.asarray(weights).T, rtol=1e-13
+    )
+    np.testing.assert_array_equal(picture.stderr, 0.0)
+    assert np.all(np.isnan(picture.bias))
+
+
+def test_jit_through_the_front_ends():
+    scene, camera = _scene(), _camera()
+    lines = oi.Rays([0.0, 0.0, 2.0], DOWN, 1.5)
+    for call in (
+        lambda s: oi.radiance(s, lines).value,
+        lambda s: oi.irradiance(s, [1.0, 4.0]).Ed.value,
+        lambda s: oi.photograph(s, camera).value,
+    ):
+        np.testing.assert_allclose(jax.jit(call)(scene), call(scene), rtol=1e-12)
+    batch = jax.vmap(lambda a: oi.irradiance(_scene(a=a), [1.0]).Ed.value)(jnp.full((4, 3), 0.2))
+    assert batch.shape == (4, 1, 3)
+
+
+def test_traced_depths_and_rays_pass_the_checks():
+    slope = jax.grad(lambda z: oi.irradiance(_scene(), z).Ed.value.sum())(jnp.asarray([1.0, 2.0]))
+    assert bool(jnp.all(slope < 0))
+
+
+def test_irradiance_shapes():
+    field = oi.irradiance(_scene(), 3.0)
+    assert field.Ed.value.shape == field.Eu.value.shape == field.E0.value.shape == (1, 3)
+    assert bool(jnp.all(field.E0.value > field.Ed.value))
+    assert bool(jnp.all(field.Ed.value > field.Eu.value))
+
+
+def _equations(scene):
+    lines = oi.Rays([0.0, 0.0, 2.0], DOWN)
+    inner = jax.make_jaxpr(lambda s: oi.radiance(s, lines).value)(scene)
+
+    def count(jaxpr):
+        total = 0
+        for equation in jaxpr.eqns:
+            total += 1
+            for value in jax.tree.leaves(
+                list(equation.params.values()), is_leaf=lambda x: hasattr(x, "eqns")
+            ):
+                total += (
+                    count(value.jaxpr if hasattr(value, "jaxpr") else value)
+                    if (hasattr(value, "eqns") or hasattr(value, "jaxpr"))
+                    else 0
+                )
+        return total
+
+    return count(inner.jaxpr)
+
+
+def test_absent_terms_are_absent_from_the_program():
+    """A scene without a floor, a surface or a sky compiles to fewer equations."""
+    whole = _equations(_scene())
+    bare = _equations(_scene(False, False, False))
+    for absent in ("surface", "floor", "sky"):
+        assert bare < _equations(_scene(**{absent: False})) < whole
+    assert bare < 0.75 * whole
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (
+            lambda s: oi.radiance(s, oi.Rays([0.0, 0.0, -1.0], DOWN)),
+            "depths must be finite and at least 0",
+        ),
+        (lambda s: oi.radiance(s, oi.Rays([0.0, 0.0, 11.0], DOWN)), "below the floor at 10 m"),
+        (
+            lambda s: oi.radiance(s, oi.Rays([0.0, 0.0, 1.0], 2 * DOWN)),
+            "unit vectors; one has length 2",
+        ),
+        (
+            lambda s: oi.radiance(s, oi.Rays([0.0, 0.0, 1.0], DOWN, 0.0)),
+            "length must be positive; the least is 0 m",
+        ),
+        (
+            lambda s: oi.radiance(s, oi.Rays([0.0, 0.0, 1.0], DOWN, [1.0, np.nan])),
+            "must be positive",
+        ),
+        (lambda s: oi.irradiance(s, [1.0, 20.0]), "depths reach 20 m"),
+        (lambda s: oi.irradiance(s, [np.nan]), "depths must be finite"),
+    ],
+)
+def test_refusals(call, message):
+    with pytest.raises(ValueError, match=message):
+        call(_scene())
