@@ -85,10 +85,9 @@ def _consume(term: Term, state: Any, angle: _Angle) -> Any:
     n = term.n
     pairs = [(term.a, term.b)]
     power = [Pair(modulus2(term.a) + modulus2(term.b), None)]
-    if term.a_x is not None:
-        for da, db in ((term.a_x, term.b_x), (term.a_m, term.b_m)):
-            pairs.append((da, db))
-            power.append(add(multiply(conjugate(term.a), da), multiply(conjugate(term.b), db)))
+    for da, db in term.slopes:
+        pairs.append((da, db))
+        power.append(add(multiply(conjugate(term.a), da), multiply(conjugate(term.b), db)))
     first, second, slopes, total = state
     if slopes is not None:
         slopes = (

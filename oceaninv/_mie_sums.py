@@ -43,7 +43,7 @@ class Sums(NamedTuple):
 
 def buffer_rows(max_size: float) -> int:
     """Static rows of scratch space for |x| <= max_size: few values, hence few programs."""
-    needed = math.ceil(max_size + 6.5 * max_size ** (1 / 3)) + 12  # series_length and two rows
+    needed = math.ceil(max_size + 6.5 * max_size ** (1 / 3)) + 12  # series_length and a few rows
     for rows in _BUFFERS:
         if needed <= rows:
             return rows
@@ -62,9 +62,7 @@ def _group_lanes(count: int, width: int) -> tuple[int, int]:
     return groups, -(-count // groups)
 
 
-def in_groups(
-    run, x: Array, m: Array, rows: int, lane_data: Any = (), width: int = _GROUP
-) -> Any:
+def in_groups(run, x: Array, m: Array, rows: int, lane_data: Any = (), width: int = _GROUP) -> Any:
     """Apply run(group, scratch, lane_data) -> (out, scratch) to sorted groups of a flat batch.
 
     x and m have shape (lane,); lane_data is a pytree of arrays whose last axis is the lane; the
@@ -131,15 +129,9 @@ def _accumulate(term: Term, state: _Accumulator) -> _Accumulator:
     amplitude = [add(term.a, term.b)]
     power = [Pair(modulus2(term.a) + modulus2(term.b), None)]
     moment = [Pair(cosine(term.a, term.b), None)]
-    if term.a_x is not None:
-        for da, db, da_before, db_before in (
-            (term.a_x, term.b_x, before.a_x, before.b_x),
-            (term.a_m, term.b_m, before.a_m, before.b_m),
-        ):
-            d_amplitude, d_power, d_cosine = slopes(da, db, da_before, db_before)
-            amplitude.append(d_amplitude)
-            power.append(d_power)
-            moment.append(d_cosine)
+    for new, old in zip(term.slopes, before.slopes, strict=True):
+        for total, value in zip((amplitude, power, moment), slopes(*new, *old), strict=True):
+            total.append(value)
 
     def sums(old, new):
         return [add(o, scale(weight, v)) for o, v in zip(old, new, strict=True)]
@@ -155,17 +147,13 @@ def _accumulate(term: Term, state: _Accumulator) -> _Accumulator:
 def _run_totals(group: Lanes, scratch: Pair, _: Any, slopes: bool):
     zero = zeros_like(group.x).re
     complex_zero, real_zero = Pair(zero, zero), Pair(zero, None)
-    count = 4 if slopes else 0
+    directions = 2 if slopes else 0
+    nothing = (complex_zero, complex_zero)
     start = _Accumulator(
-        Term(
-            jnp.zeros((), zero.dtype),
-            complex_zero,
-            complex_zero,
-            *([complex_zero] * count or [None] * 4),
-        ),
-        [complex_zero] * (3 if slopes else 1),
-        [real_zero] + [complex_zero] * (2 if slopes else 0),
-        [real_zero] + [complex_zero] * (2 if slopes else 0),
+        Term(jnp.zeros((), zero.dtype), *nothing, (nothing,) * directions),
+        [complex_zero] * (1 + directions),
+        [real_zero] + [complex_zero] * directions,
+        [real_zero] + [complex_zero] * directions,
     )
     end, scratch = sweep(group, scratch, _accumulate, start, slopes)
     # Undo kappa, divide by |x|^2, and bring every lane to the scale e^(-2 Im x).

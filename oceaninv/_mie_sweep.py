@@ -120,12 +120,9 @@ class Term(NamedTuple):
     n: Array  # the order, as a float
     a: Pair
     b: Pair
-    # Logarithmic derivatives of a and b, None when not asked for: along ln x at fixed m, without
+    # Logarithmic derivatives of (a, b), empty when not asked for: along ln x at fixed m, without
     # its factor x (m^2 - 1), and along ln m at fixed x, without its factor m.
-    a_x: Pair | None
-    b_x: Pair | None
-    a_m: Pair | None
-    b_m: Pair | None
+    slopes: tuple[tuple[Pair, Pair], ...]
 
 
 class Lanes(NamedTuple):
@@ -199,17 +196,15 @@ def _read(rows: Pair, n: Array) -> Pair:
 def _upward(group: Lanes, inverse_x: Pair, orders: Array, rows: Pair) -> tuple[Pair, Pair]:
     """Fill rows[n] with u_n for 1 <= n <= orders; return them and u_(terms+1) of every lane."""
 
-    def two_steps(i, carry):
+    def step(i, carry):
         rows, below, here = carry
-        for n in (2 * i + 1, 2 * i + 2):
-            rows = _write(rows, here, n)
-            factor = (2 * n + 1).astype(here.re.dtype)
-            above = subtract(multiply(scale(factor, inverse_x), here), below)
-            # Lanes that have all their orders rest, so that they cannot overflow.
-            below, here = here, select(n <= group.terms, above, here)
-        return rows, below, here
+        n = i + 1
+        factor = (2 * n + 1).astype(here.re.dtype)
+        above = subtract(multiply(scale(factor, inverse_x), here), below)
+        # Lanes that have all their orders rest, so that they cannot overflow.
+        return _write(rows, here, n), here, select(n <= group.terms, above, here)
 
-    rows, _, top = jax.lax.fori_loop(0, orders // 2, two_steps, (rows, *_seeds(group)))
+    rows, _, top = jax.lax.fori_loop(0, orders, step, (rows, *_seeds(group)))
     return rows, top
 
 
@@ -225,7 +220,7 @@ def _coefficient(numerator: Pair, second: Pair, own: Array, active: Array) -> tu
     return multiply(numerator, inverse), inverse
 
 
-def _slopes(n, group, y, inverses, rho, inverse_a, inverse_b):
+def _slopes(n, group, y, inverses, rho, inverse_a, inverse_b) -> tuple[tuple[Pair, Pair], ...]:
     """Logarithmic derivatives of a_n and b_n: every one is a Wronskian over D^2."""
     inverse_x2, inverse_y = inverses
     A = subtract(scale(n + 1.0, inverse_y), rho)
@@ -235,7 +230,8 @@ def _slopes(n, group, y, inverses, rho, inverse_a, inverse_b):
     f_b = scale(group.wronskian, times_i(multiply(inverse_b, inverse_b)))
     q = subtract(multiply(y, Pair(A2.re + 1.0, A2.im)), scale(nn, inverse_y))
     a_x = multiply(add(A2, scale(nn, inverse_x2)), f_a)
-    return a_x, f_b, multiply(add(q, A), f_a), multiply(subtract(q, A), f_b)
+    a_m, b_m = multiply(add(q, A), f_a), multiply(subtract(q, A), f_b)
+    return (a_x, f_b), (a_m, b_m)
 
 
 def sweep(
@@ -254,50 +250,46 @@ def sweep(
     gap = multiply(
         multiply(subtract(Pair(one, None), group.m), add(Pair(one, None), group.m)), inverse_y
     )
-    orders = (jnp.max(group.terms) + 1) // 2 * 2  # sweeps advance by two orders at a time
+    orders = jnp.max(group.terms)
     rows, top = _upward(group, inverse_x, orders, rows)
     p_top = scale(-group.wronskian, reciprocal(top))
 
-    excess = jnp.maximum(jnp.max(group.start) - orders + 1, 0) // 2
+    start = jnp.maximum(jnp.max(group.start), orders)
 
-    def warm_two(i, rho):
-        n = (orders + 2 * (excess - i)).astype(dtype)
-        return _step_inner(n - 1.0, inverse_y, _step_inner(n, inverse_y, rho))
+    def warm(i, rho):
+        return _step_inner((start - i).astype(dtype), inverse_y, rho)
 
-    rho = jax.lax.fori_loop(0, excess, warm_two, zeros_like(y))
+    rho = jax.lax.fori_loop(0, start - orders, warm, zeros_like(y))
 
-    def down_two(i, carry):
+    def down(i, carry):
         rho, above, p, u_above, state = carry
-        for k in (orders - 2 * i, orders - 2 * i - 1):
-            n = k.astype(dtype)
-            u = _read(rows, k)
-            p = select(k == group.terms, p_top, p)
-            t = subtract(scale(n + 1.0, gap), rho)
-            m_rho = multiply(group.m, rho)
-            active = k <= group.terms
-            a, inverse_a = _coefficient(
-                add(multiply(t, p), multiply(group.m, above)),
-                add(multiply(t, u), multiply(group.m, u_above)),
-                group.own,
-                active,
-            )
-            b, inverse_b = _coefficient(
-                subtract(above, multiply(m_rho, p)),
-                subtract(u_above, multiply(m_rho, u)),
-                group.own,
-                active,
-            )
-            derivatives = (None,) * 4
-            if slopes:
-                derivatives = _slopes(
-                    n, group, y, (inverse_x2, inverse_y), rho, inverse_a, inverse_b
-                )
-            state = consume(Term(n, a, b, *derivatives), state)
-            rho = _step_inner(n, inverse_y, rho)
-            p_below = subtract(multiply(scale(2.0 * n + 1.0, inverse_x), p), above)
-            above, p, u_above = p, p_below, u
-        return rho, above, p, u_above, state
+        k = orders - i
+        n = k.astype(dtype)
+        active = k <= group.terms
+        u = _read(rows, k)
+        p = select(k == group.terms, p_top, p)
+        t = subtract(scale(n + 1.0, gap), rho)
+        m_rho = multiply(group.m, rho)
+        a, inverse_a = _coefficient(
+            add(multiply(t, p), multiply(group.m, above)),
+            add(multiply(t, u), multiply(group.m, u_above)),
+            group.own,
+            active,
+        )
+        b, inverse_b = _coefficient(
+            subtract(above, multiply(m_rho, p)),
+            subtract(u_above, multiply(m_rho, u)),
+            group.own,
+            active,
+        )
+        derivatives = ()
+        if slopes:
+            inverses = (inverse_x2, inverse_y)
+            derivatives = _slopes(n, group, y, inverses, rho, inverse_a, inverse_b)
+        state = consume(Term(n, a, b, derivatives), state)
+        p_below = subtract(multiply(scale(2.0 * n + 1.0, inverse_x), p), above)
+        return _step_inner(n, inverse_y, rho), p, p_below, u, state
 
     nothing = zeros_like(group.x)
     carry = (rho, nothing, nothing, top, state)
-    return jax.lax.fori_loop(0, orders // 2, down_two, carry)[-1], rows
+    return jax.lax.fori_loop(0, orders, down, carry)[-1], rows

@@ -18,25 +18,30 @@ or less than scattering: it is relative to the host that the particle displaces.
 
 import functools
 import math
-import warnings
 from typing import NamedTuple
 
 import jax
-import jax.core
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Complex, Float, Num
 
-from oceaninv import _mie_sums
+from oceaninv import _mie_input, _mie_sums
 from oceaninv._mie_angles import AngleSums, angle_sums
+from oceaninv._mie_input import AbsorbingHostWarning
 from oceaninv._numerics import exp_moment
+
+__all__ = [
+    "AbsorbingHostWarning",
+    "CrossSections",
+    "amplitudes",
+    "cross_sections",
+    "efficiencies",
+    "forward_amplitude",
+    "phase_function",
+]
 
 # Below these size parameters the exact leading powers of x are used instead of the series.
 _SMALLEST = {"float64": 1e-25, "float32": 1e-8}
-
-
-class AbsorbingHostWarning(UserWarning):
-    """The host absorbs so much across one particle (alpha > 1) that eqs 22-24 mean little."""
 
 
 class CrossSections(NamedTuple):
@@ -45,60 +50,6 @@ class CrossSections(NamedTuple):
     extinction: Float[Array, "..."]
     scattering: Float[Array, "..."]
     asymmetry: Float[Array, "..."]
-
-
-def _is_traced(*values) -> bool:
-    return any(isinstance(v, jax.core.Tracer) for v in values)
-
-
-def _check(name: str, value, positive: bool = False) -> None:
-    """ValueError unless a concrete value is finite and has no negative part where none may be."""
-    if _is_traced(value):
-        return
-    array = np.asarray(value)
-    if not np.isfinite(array).all():
-        raise ValueError(f"{name} must be finite; it has a NaN or an infinity.")
-    wanted = "positive" if positive else "at least 0"
-    low = array.real <= 0 if positive else array.real < 0
-    if low.any():
-        raise ValueError(
-            f"{name} must be {wanted}; the smallest value given is {array.real.min():g}."
-        )
-
-
-def _check_index(name: str, value) -> None:
-    _check(name, value if _is_traced(value) else np.real(value), positive=True)
-    if not _is_traced(value) and not np.all(np.imag(value) >= 0):
-        raise ValueError(
-            f"{name} must be n + ik with k >= 0 (time factor exp(-i w t): a positive imaginary "
-            f"part absorbs); the smallest imaginary part given is {np.min(np.imag(value)):g}."
-        )
-
-
-def _check_shapes(**arguments) -> tuple[int, ...]:
-    try:
-        return np.broadcast_shapes(*(np.shape(v) for v in arguments.values()))
-    except ValueError:
-        listing = ", ".join(f"{k} {np.shape(v)}" for k, v in arguments.items())
-        raise ValueError(f"the shapes of these arguments do not broadcast: {listing}.") from None
-
-
-def _scratch_rows(largest: float | None, max_size: float | None) -> int:
-    """Static scratch space for sizes up to max_size, or up to the largest concrete size."""
-    if max_size is None:
-        if largest is None:
-            raise ValueError(
-                "max_size, an upper bound of the size parameters |x| = 2 pi r |host| / lambda as "
-                "a plain number, is needed when the size of the particles is traced by jax "
-                "(jit, grad or vmap): scratch space must have a fixed size."
-            )
-        max_size = largest
-    if not (largest or 0.0) <= max_size < 1e8:
-        raise ValueError(
-            f"max_size must be at least the largest size parameter, {largest or 0.0:g}, and below "
-            f"1e8; it is {max_size:g}."
-        )
-    return _mie_sums.buffer_rows(max_size)
 
 
 class _Spheres(NamedTuple):
@@ -126,8 +77,7 @@ def _spheres(size: Array, direction: Array, m: Array, rows: int) -> _Spheres:
 
 def _sums(spheres: _Spheres, rows: int) -> _mie_sums.Sums:
     """Series sums; below the smallest x they follow their leading powers, x and x^4."""
-    flat = _mie_sums.series_sums(spheres.x.reshape(-1), spheres.m.reshape(-1), rows)
-    amplitude, power, cosine = (v.reshape(spheres.x.shape) for v in flat)
+    amplitude, power, cosine = _mie_sums.series_sums(spheres.x, spheres.m, rows)
     tiny = spheres.tiny
     return _mie_sums.Sums(
         amplitude * tiny.astype(amplitude.dtype), power * tiny**4, cosine * tiny**6
@@ -141,8 +91,8 @@ def _asymmetry(sums: _mie_sums.Sums) -> Array:
 
 
 def efficiencies(
-    x: Num[ArrayLike, "*#s"], m: Num[ArrayLike, "*#s"], max_size: float | None = None
-) -> tuple[Float[Array, "*s"], Float[Array, "*s"], Float[Array, "*s"]]:
+    x: Num[ArrayLike, "..."], m: Num[ArrayLike, "..."], max_size: float | None = None
+) -> tuple[Float[Array, "..."], Float[Array, "..."], Float[Array, "..."]]:
     """Extinction and scattering efficiency and mean cosine of a sphere in a transparent host.
 
     **Arguments:** size parameter x = 2 pi r n_host / lambda >= 0, and the particle's index over
@@ -158,108 +108,30 @@ def efficiencies(
     >>> [f"{float(v):.4f}" for v in (q_ext, q_sca, g)]
     ['2.3363', '0.6635', '0.1921']
     """
-    shape = _check_shapes(x=x, m=m)
-    _check("x", x)
-    _check_index("m", m)
-    dtype = _float_type(x)
-    largest = None if _is_traced(x) else float(np.max(np.asarray(x), initial=0.0))
-    return _efficiencies(
-        jnp.asarray(x).astype(dtype), _cast(m, dtype), shape, _scratch_rows(largest, max_size)
-    )
+    shape = _mie_input.common_shape(x=x, m=m)
+    _mie_input.check("x", x)
+    _mie_input.check_index("m", m)
+    largest = None
+    if not _mie_input.is_traced(x):
+        largest = float(np.max(np.asarray(x), initial=0.0))
+    rows = _mie_input.scratch_rows(largest, max_size)
+    batch = _mie_input.batch((x, m), (0.0, 1.5), shape, _mie_input.float_type(x), rows)
+    q_ext, q_sca, g = _efficiencies(batch.arrays, rows)
+    return batch.restore(q_ext), batch.restore(q_sca), batch.restore(g)
 
 
-@functools.partial(jax.jit, static_argnames=("shape", "rows"))
-def _efficiencies(x, m, shape, rows):
-    x, m = jnp.broadcast_to(x, shape), jnp.broadcast_to(m, shape)
+@functools.partial(jax.jit, static_argnames="rows")
+def _efficiencies(arrays, rows):
+    x, m = arrays
     sums = _sums(_spheres(x, jnp.ones_like(x), m, rows), rows)
     return 2.0 * jnp.real(sums.amplitude), 2.0 * sums.power, _asymmetry(sums)
 
 
-def _float_type(value) -> np.dtype:
-    """The real dtype in which a result is returned; integers count as default floats."""
-    dtype = jnp.asarray(value).dtype
-    return dtype if jnp.issubdtype(dtype, jnp.floating) else jnp.zeros(()).dtype
-
-
-def _cast(value, dtype) -> Array:
-    value = jnp.asarray(value)
-    if jnp.iscomplexobj(value):
-        return value.astype(np.result_type(dtype, np.complex64))
-    return value.astype(dtype)
-
-
-def _prepare(radius, wavelength, particle_index, host_index, max_size):
-    """Check the arguments and cast them to one precision; also the shape and scratch rows."""
-    arguments = {
-        "radius": radius,
-        "wavelength": wavelength,
-        "particle_index": particle_index,
-        "host_index": host_index,
-    }
-    shape = _check_shapes(**arguments)
-    _check("radius", radius)
-    _check("wavelength", wavelength, positive=True)
-    _check_index("particle_index", particle_index)
-    _check_index("host_index", host_index)
-    dtype = _float_type(radius)
-    largest = None
-    if not _is_traced(radius, wavelength, host_index):
-        x = 2000 * np.pi * np.asarray(radius) / np.asarray(wavelength) * np.asarray(host_index)
-        largest = float(np.max(np.abs(x), initial=0.0))
-        _check_alpha(2.0 * float(np.max(x.imag, initial=0.0)), dtype)
-    arrays = (
-        jnp.asarray(radius).astype(dtype),
-        jnp.asarray(wavelength).astype(dtype),
-        _cast(particle_index, dtype),
-        _cast(host_index, dtype),
-    )
-    return arrays, shape, _scratch_rows(largest, max_size)
-
-
-def _check_alpha(largest: float, dtype) -> None:
-    limit = math.log(float(jnp.finfo(dtype).max)) - 8.0
-    if largest > limit:
-        raise ValueError(
-            f"the host absorbs too much for radius and host_index: extinction grows like "
-            f"exp(2 Im x) and overflows {dtype.name} at Im x = {largest / 2:g} "
-            f"(limit {limit / 2:.0f})."
-        )
-    if largest > 1.0:
-        warnings.warn(
-            f"the host absorbs across one particle (alpha = 4 pi r Im(host)/lambda up to "
-            f"{largest:.3g} > 1): the far-field cross sections of eqs 22-24 mean little there.",
-            AbsorbingHostWarning,
-            stacklevel=4,
-        )
-
-
-class _Optics(NamedTuple):
-    spheres: _Spheres
-    direction: Array  # host / |host|
-    area: Array  # pi r^2, um2
-    alpha: Array  # 4 pi r Im(host) / lambda = 2 Im x
-
-
-def _optics(arrays, shape, rows) -> _Optics:
-    radius, wavelength, particle, host = (jnp.broadcast_to(v, shape) for v in arrays)
-    vacuum = 2000.0 * math.pi * radius / wavelength
-    modulus = jnp.abs(host)
-    direction = host / modulus.astype(host.dtype)
-    common = np.result_type(host.dtype, particle.dtype)
-    m = particle.astype(common) / host.astype(common)
-    return _Optics(
-        _spheres(vacuum * modulus, direction, m, rows),
-        direction,
-        math.pi * radius * radius,
-        2.0 * vacuum * jnp.imag(host),
-    )
-
-
 def cross_sections(
-    radius: Num[ArrayLike, "*#s"],
-    wavelength: Num[ArrayLike, "*#s"],
-    particle_index: Num[ArrayLike, "*#s"],
-    host_index: Num[ArrayLike, "*#s"],
+    radius: Num[ArrayLike, "..."],
+    wavelength: Num[ArrayLike, "..."],
+    particle_index: Num[ArrayLike, "..."],
+    host_index: Num[ArrayLike, "..."],
     max_size: float | None = None,
 ) -> CrossSections:
     """Extinction and scattering cross section (um2) and mean cosine of a sphere (eqs 21-26).
@@ -280,20 +152,29 @@ def cross_sections(
     >>> f"{float(c.extinction):.5f} {float(c.scattering):.5f} {float(c.asymmetry):.5f}"
     '9.15647 9.14342 0.91302'
     """
-    arrays, shape, rows = _prepare(radius, wavelength, particle_index, host_index, max_size)
-    return _cross_sections(arrays, shape, rows)
+    batch = _mie_input.sphere_batch(radius, wavelength, particle_index, host_index, max_size)
+    return CrossSections(*map(batch.restore, _cross_sections(batch.arrays, batch.rows)))
 
 
-@functools.partial(jax.jit, static_argnames=("shape", "rows"))
-def _cross_sections(arrays, shape, rows):
-    optics = _optics(arrays, shape, rows)
-    sums = _sums(optics.spheres, rows)
-    return CrossSections(
-        2.0 * optics.area * jnp.real(_forward(sums, optics)),
-        # With coefficients scaled by e^-alpha the factor e^-alpha/gamma of eq 23 turns into
-        # 1/(gamma e^-alpha), gamma e^-alpha = 2 (e^-alpha - 1 + alpha)/alpha^2: no overflow.
-        optics.area * sums.power / (exp_moment(0, optics.alpha) - exp_moment(1, optics.alpha)),
-        _asymmetry(sums),
+class _Optics(NamedTuple):
+    spheres: _Spheres
+    direction: Array  # host / |host|
+    area: Array  # pi r^2, um2
+    alpha: Array  # 4 pi r Im(host) / lambda = 2 Im x
+
+
+def _optics(arrays, rows) -> _Optics:
+    radius, wavelength, particle, host = arrays
+    vacuum = 2000.0 * math.pi * radius / wavelength
+    modulus = jnp.abs(host)
+    direction = host / modulus.astype(host.dtype)
+    common = np.result_type(host.dtype, particle.dtype)
+    m = particle.astype(common) / host.astype(common)
+    return _Optics(
+        _spheres(vacuum * modulus, direction, m, rows),
+        direction,
+        math.pi * radius * radius,
+        2.0 * vacuum * jnp.imag(host),
     )
 
 
@@ -303,59 +184,68 @@ def _forward(sums: _mie_sums.Sums, optics: _Optics) -> Array:
     return sums.amplitude / (turn * turn) * jnp.exp(optics.alpha).astype(turn.dtype)
 
 
+@functools.partial(jax.jit, static_argnames="rows")
+def _cross_sections(arrays, rows):
+    optics = _optics(arrays, rows)
+    sums = _sums(optics.spheres, rows)
+    return (
+        2.0 * optics.area * jnp.real(_forward(sums, optics)),
+        # With coefficients scaled by e^-alpha the factor e^-alpha/gamma of eq 23 turns into
+        # 1/(gamma e^-alpha), gamma e^-alpha = 2 (e^-alpha - 1 + alpha)/alpha^2: no overflow.
+        optics.area * sums.power / (exp_moment(0, optics.alpha) - exp_moment(1, optics.alpha)),
+        _asymmetry(sums),
+    )
+
+
 def forward_amplitude(
-    radius: Num[ArrayLike, "*#s"],
-    wavelength: Num[ArrayLike, "*#s"],
-    particle_index: Num[ArrayLike, "*#s"],
-    host_index: Num[ArrayLike, "*#s"],
+    radius: Num[ArrayLike, "..."],
+    wavelength: Num[ArrayLike, "..."],
+    particle_index: Num[ArrayLike, "..."],
+    host_index: Num[ArrayLike, "..."],
     max_size: float | None = None,
-) -> Complex[Array, "*s"]:
+) -> Complex[Array, "..."]:
     """S(0)/k^2 in um2 (eq 21), the input of the effective index; arguments as `cross_sections`.
 
     Extinction is 4 pi times its real part.
     """
-    arrays, shape, rows = _prepare(radius, wavelength, particle_index, host_index, max_size)
-    return _forward_amplitude(arrays, shape, rows)
+    batch = _mie_input.sphere_batch(radius, wavelength, particle_index, host_index, max_size)
+    return batch.restore(_forward_amplitude(batch.arrays, batch.rows))
 
 
-@functools.partial(jax.jit, static_argnames=("shape", "rows"))
-def _forward_amplitude(arrays, shape, rows):
-    optics = _optics(arrays, shape, rows)
+@functools.partial(jax.jit, static_argnames="rows")
+def _forward_amplitude(arrays, rows):
+    optics = _optics(arrays, rows)
     forward = _forward(_sums(optics.spheres, rows), optics)
     return forward * (optics.area / (2.0 * math.pi)).astype(forward.dtype)
 
 
 def amplitudes(
-    cos_theta: Num[ArrayLike, "*#s"],
-    radius: Num[ArrayLike, "*#s"],
-    wavelength: Num[ArrayLike, "*#s"],
-    particle_index: Num[ArrayLike, "*#s"],
-    host_index: Num[ArrayLike, "*#s"],
+    cos_theta: Num[ArrayLike, "..."],
+    radius: Num[ArrayLike, "..."],
+    wavelength: Num[ArrayLike, "..."],
+    particle_index: Num[ArrayLike, "..."],
+    host_index: Num[ArrayLike, "..."],
     max_size: float | None = None,
-) -> tuple[Complex[Array, "*s"], Complex[Array, "*s"]]:
+) -> tuple[Complex[Array, "..."], Complex[Array, "..."]]:
     """Scattering amplitudes S1, S2 (eqs 2 and 3) at the cosine of the scattering angle.
 
     All arguments broadcast, as in `cross_sections`.  The series of a sphere is summed once for all
     angles that lie along an axis of their own.
     """
-    sums, optics, lanes_last = _at_angles(
-        cos_theta, radius, wavelength, particle_index, host_index, max_size
-    )
-    spheres = optics.spheres
-    grown = jnp.abs(spheres.x) * spheres.tiny**3 * jnp.exp(optics.alpha)
-    return tuple(
-        lanes_last(s * grown.reshape(-1).astype(s.dtype)[None, :]) for s in (sums.s1, sums.s2)
-    )
+    spheres = (radius, wavelength, particle_index, host_index)
+    batch, cosine, lay_out = _angle_batch(cos_theta, spheres, max_size)
+    first, second = _amplitudes(batch.arrays, cosine, batch.rows)
+    return lay_out(first), lay_out(second)
 
 
 def phase_function(
-    cos_theta: Num[ArrayLike, "*#s"],
-    radius: Num[ArrayLike, "*#s"],
-    wavelength: Num[ArrayLike, "*#s"],
-    particle_index: Num[ArrayLike, "*#s"],
-    host_index: Num[ArrayLike, "*#s"],
+    cos_theta: Num[ArrayLike, "..."],
+    radius: Num[ArrayLike, "..."],
+    wavelength: Num[ArrayLike, "..."],
+    particle_index: Num[ArrayLike, "..."],
+    host_index: Num[ArrayLike, "..."],
     max_size: float | None = None,
-) -> Float[Array, "*s"]:
+) -> Float[Array, "..."]:
     """Phase function of unpolarised light in 1/sr (eq 25), integral 1 over 4 pi.
 
     **Arguments:** cosine of the scattering angle, -1 ... 1, then as in `cross_sections`; all
@@ -368,47 +258,58 @@ def phase_function(
     >>> [f"{float(v):.4f}" for v in p]
     ['0.0028', '14.5333']
     """
-    sums, _, lanes_last = _at_angles(
-        cos_theta, radius, wavelength, particle_index, host_index, max_size
-    )
+    spheres = (radius, wavelength, particle_index, host_index)
+    batch, cosine, lay_out = _angle_batch(cos_theta, spheres, max_size)
+    return lay_out(_phase(batch.arrays, cosine, batch.rows))
+
+
+def _angle_sums(spheres: _Spheres, cosine: Array, rows: int) -> AngleSums:
+    sums = angle_sums(spheres.x, spheres.m, cosine, rows)
+    return sums._replace(power=jnp.where(jnp.isnan(spheres.tiny), jnp.nan, sums.power))
+
+
+@functools.partial(jax.jit, static_argnames="rows")
+def _amplitudes(arrays, cosine, rows):
+    optics = _optics(arrays, rows)
+    spheres = optics.spheres
+    sums = _angle_sums(spheres, cosine, rows)
+    grown = jnp.abs(spheres.x) * spheres.tiny**3 * jnp.exp(optics.alpha)
+    return tuple(s * grown.astype(s.dtype)[None, :] for s in (sums.s1, sums.s2))
+
+
+@functools.partial(jax.jit, static_argnames="rows")
+def _phase(arrays, cosine, rows):
+    sums = _angle_sums(_optics(arrays, rows).spheres, cosine, rows)
     square = sum(jnp.real(s) ** 2 + jnp.imag(s) ** 2 for s in (sums.s1, sums.s2))
     power = jnp.where(sums.power == 0.0, 1.0, sums.power)
-    return lanes_last(square / (4.0 * math.pi * power[None, :]))
+    return square / (4.0 * math.pi * power[None, :])
 
 
-def _at_angles(cos_theta, radius, wavelength, particle_index, host_index, max_size):
-    """Angle sums of shape (angle, lane), the optics of the lanes, and the way back to the shape."""
-    particle_shape = _check_shapes(
-        radius=radius,
-        wavelength=wavelength,
-        particle_index=particle_index,
-        host_index=host_index,
-    )
-    shape = _check_shapes(cos_theta=cos_theta, particles=np.empty(particle_shape))
-    if not _is_traced(cos_theta) and not np.all(np.abs(np.asarray(cos_theta)) <= 1.0):
+def _angle_batch(cos_theta, spheres: tuple, max_size):
+    """The batch of spheres, cosines of shape (angle, lane), and the way back to the full shape.
+
+    Axes along which only the angle varies become "angle", so that each sphere is summed once.
+    """
+    if not _mie_input.is_traced(cos_theta) and not np.all(np.abs(np.asarray(cos_theta)) <= 1.0):
         raise ValueError("cos_theta must be a cosine, between -1 and 1, without NaN.")
-    arrays, _, rows = _prepare(radius, wavelength, particle_index, host_index, max_size)
-    optics = _optics(arrays, particle_shape, rows)
-    padded = (1,) * (len(shape) - len(particle_shape)) + particle_shape
+    batch = _mie_input.sphere_batch(*spheres, max_size=max_size)
+    spheres_only = np.broadcast_to(0.0, batch.shape)
+    shape = _mie_input.common_shape(cos_theta=cos_theta, spheres=spheres_only)
+    sphere_shape = (1,) * (len(shape) - len(batch.shape)) + batch.shape
     cosine_shape = (1,) * (len(shape) - np.ndim(cos_theta)) + np.shape(cos_theta)
-    # Axes along which only the angle varies come first, the lanes of spheres after them.
-    angles = [i for i in range(len(shape)) if padded[i] == 1 and cosine_shape[i] > 1]
-    lanes = [i for i in range(len(shape)) if i not in angles]
-    order = angles + lanes
-    cosine = jnp.asarray(cos_theta).astype(arrays[0].dtype).reshape(cosine_shape)
-    wide = tuple(cosine_shape[i] if i in angles else shape[i] for i in range(len(shape)))
-    cosine = jnp.broadcast_to(cosine, wide)
-    count = math.prod(shape[i] for i in angles)
-    lane_shape = tuple(shape[i] for i in lanes)
-    cosine = jnp.transpose(cosine, order).reshape(count, -1)
+    angles = [i for i in range(len(shape)) if sphere_shape[i] == 1 and cosine_shape[i] > 1]
+    order = angles + [i for i in range(len(shape)) if i not in angles]
+    wide = tuple(max(c, s) for c, s in zip(cosine_shape, sphere_shape, strict=True))
+    cosine = jnp.asarray(cos_theta).astype(batch.arrays[0].dtype).reshape(cosine_shape)
+    cosine = jnp.transpose(jnp.broadcast_to(cosine, wide), order)
+    cosine = cosine.reshape(math.prod(shape[i] for i in angles), -1)
+    padding = batch.arrays[0].shape[0] - cosine.shape[1]
+    cosine = jnp.pad(cosine, ((0, 0), (0, padding)))
 
-    def lanes_last(values):
-        moved = values.reshape(tuple(shape[i] for i in angles) + lane_shape)
-        return jnp.transpose(moved, np.argsort(order))
+    def lay_out(values):
+        kept = values[:, : values.shape[1] - padding]
+        return jnp.transpose(
+            kept.reshape([shape[i] for i in order]), [order.index(i) for i in range(len(order))]
+        )
 
-    spheres = optics.spheres
-    sums = angle_sums(spheres.x.reshape(-1), spheres.m.reshape(-1), cosine, rows)
-    tiny = spheres.tiny.reshape(-1)
-    # An element out of the domain is NaN.
-    power = jnp.where(jnp.isnan(tiny), jnp.nan, sums.power)
-    return AngleSums(sums.s1, sums.s2, power), optics, lanes_last
+    return batch, cosine, lay_out
