@@ -225,7 +225,8 @@ class FournierForand(AbstractPhase):
         solid = jnp.asarray(weights * np.sin(angles) / 2, dtype)
         smallest = math.sin(_math.SMALLEST_ANGLE / 2) ** 2
         density, forward = _math.ff_density(half, smallest, *self._shape(dtype))
-        return _math.legendre_sums(half, solid * density, order) + forward
+        # chi_0 is 1 to rounding; exactly 1 spares solvers a renormalisation.
+        return (_math.legendre_sums(half, solid * density, order) + forward).at[0].set(1.0)
 
     @property
     @eqx.filter_jit

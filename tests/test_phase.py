@@ -1,6 +1,8 @@
 """Phase functions against their own integrals, literal formulas, limits and published numbers."""
 
+import doctest
 import functools
+import sys
 
 import jax
 import jax.numpy as jnp
@@ -220,7 +222,7 @@ def _everything(phase):
         (HenyeyGreenstein, [[0.0], [0.9], [-0.9]]),
         (TwoTermHenyeyGreenstein, [[0.9, -0.3, 0.97], [0.0, 0.0, 0.5]]),
         (Seawater, [[0.835]]),
-        (FournierForand, [[0.0183], [0.3]]),
+        pytest.param(FournierForand, [[0.0183], [0.3]], marks=pytest.mark.slow),
         (
             lambda *v: Mixture(jnp.stack(v[:2]), [Seawater(), HenyeyGreenstein(v[2])]),
             [[0.4, 1.0, 0.8], [0.0, 1.0, 0.0]],
@@ -238,6 +240,7 @@ def test_gradient_in_direction():
         _check_gradient(lambda c, p=phase: jnp.log(p(c)), points, step=1e-8, rtol=3e-6)
 
 
+@pytest.mark.slow
 def test_gradient_through_delta_one():
     """delta = 4/(3 (n-1)^2) sin^2(theta/2) = 1 is a removable singularity in n, mu and angle."""
     n = 1.1
@@ -265,7 +268,10 @@ EXTREMES = {
 }
 
 
-@pytest.mark.parametrize("name", EXTREMES)
+@pytest.mark.parametrize(
+    "name",
+    ["hg", "seawater", *(pytest.param(n, marks=pytest.mark.slow) for n in EXTREMES if "ff" in n)],
+)
 def test_extremes_are_finite_in_both_precisions(name):
     make, points = EXTREMES[name]
 
@@ -292,11 +298,11 @@ def test_extremes_are_finite_in_both_precisions(name):
 
 
 def test_single_precision_of_every_phase():
-    for phase in PHASES.values():
-        values = phase(CHAIN.astype(jnp.float32))
-        assert values.dtype == jnp.float32
-        assert np.all(np.isfinite(values))
-        np.testing.assert_allclose(values[3:], phase(CHAIN)[3:], rtol=3e-5)
+    every = jax.jit(lambda cosine: jnp.stack([phase(cosine) for phase in PHASES.values()]))
+    values = every(CHAIN.astype(jnp.float32))
+    assert values.dtype == jnp.float32
+    assert np.all(np.isfinite(values))
+    np.testing.assert_allclose(values[:, 3:], every(CHAIN)[:, 3:], rtol=3e-5)
 
 
 def test_rounded_cosines_beyond_one():
@@ -308,14 +314,16 @@ def test_rounded_cosines_beyond_one():
 def test_table_of_a_known_function():
     """A fine table of Henyey-Greenstein comes back, with and without a row at 0 degrees."""
     known = HenyeyGreenstein(0.8)
-    for angle in (np.linspace(0, 180, 721), np.geomspace(0.05, 180, 400)):
+    for angle in (np.linspace(0, 180, 361), np.geomspace(0.05, 180, 361)):
         angle[-1] = 180
-        values = known(jnp.asarray(np.cos(np.radians(angle))))
-        for phase in (Tabulated(angle, values), Tabulated(angle, values, normalise=False)):
-            np.testing.assert_allclose(phase.moments(64), known.moments(64), atol=2e-4)
-        np.testing.assert_allclose(phase(CHAIN), known(CHAIN), rtol=2e-4)
+        values = np.asarray(known(jnp.asarray(np.cos(np.radians(angle)))))
+        phase = Tabulated(angle, values, normalise=False)
+        np.testing.assert_allclose(phase.moments(64), known.moments(64), atol=2e-4)
+        # Between 0 and the second row ln p is linear in the angle: 5.5e-4 off a rounded peak.
+        np.testing.assert_allclose(phase(CHAIN), known(CHAIN), rtol=6e-4)
     scaled = Tabulated(angle, 7 * values)
-    np.testing.assert_allclose(scaled(CHAIN), Tabulated(angle, values)(CHAIN), rtol=1e-12)
+    total = float(phase.moments(0)[0])
+    np.testing.assert_allclose(scaled.log_values, np.log(values / total), atol=1e-12)
 
 
 def test_mixture_is_the_weighted_mean():
@@ -410,3 +418,9 @@ def test_works_under_vmap_and_inside_jit():
         np.testing.assert_allclose(FournierForand(ratio).moments(4), row, rtol=1e-12)
     inside = jax.jit(lambda c: petzold()(c) + fit_two_term(petzold())(c))(CHAIN)
     np.testing.assert_allclose(inside, petzold()(CHAIN) + fit_two_term(petzold())(CHAIN))
+
+
+def test_examples():
+    result = doctest.testmod(sys.modules[HenyeyGreenstein.__module__])
+    assert result.failed == 0
+    assert result.attempted > 0
