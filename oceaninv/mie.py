@@ -36,8 +36,8 @@ __all__ = [
     "amplitudes",
     "cross_sections",
     "efficiencies",
-    "forward_amplitude",
     "phase_function",
+    "sections_and_forward",
 ]
 
 # Below these size parameters the exact leading powers of x are used instead of the series.
@@ -152,8 +152,27 @@ def cross_sections(
     >>> f"{float(c.extinction):.5f} {float(c.scattering):.5f} {float(c.asymmetry):.5f}"
     '9.15647 9.14342 0.91302'
     """
+    arguments = (radius, wavelength, particle_index, host_index)
+    return sections_and_forward(*arguments, max_size=max_size)[0]
+
+
+def sections_and_forward(
+    radius: Num[ArrayLike, "..."],
+    wavelength: Num[ArrayLike, "..."],
+    particle_index: Num[ArrayLike, "..."],
+    host_index: Num[ArrayLike, "..."],
+    max_size: float | None = None,
+) -> tuple[CrossSections, Complex[Array, "..."]]:
+    """`cross_sections`, and the forward amplitude S(0)/k^2 in um2 out of the same sums (eq 21).
+
+    Extinction is 4 pi times its real part; its imaginary part is the input of the effective index.
+    """
     batch = _mie_input.sphere_batch(radius, wavelength, particle_index, host_index, max_size)
-    return CrossSections(*map(batch.restore, _cross_sections(batch.arrays, batch.rows)))
+    extinction, scattering, asymmetry, refraction = map(
+        batch.restore, _cross_sections(batch.arrays, batch.rows)
+    )
+    sections = CrossSections(extinction, scattering, asymmetry)
+    return sections, jax.lax.complex(extinction / (4.0 * math.pi), refraction)
 
 
 class _Optics(NamedTuple):
@@ -188,35 +207,15 @@ def _forward(sums: _mie_sums.Sums, optics: _Optics) -> Array:
 def _cross_sections(arrays, rows):
     optics = _optics(arrays, rows)
     sums = _sums(optics.spheres, rows)
+    forward = _forward(sums, optics)
     return (
-        2.0 * optics.area * jnp.real(_forward(sums, optics)),
+        2.0 * optics.area * jnp.real(forward),
         # With coefficients scaled by e^-alpha the factor e^-alpha/gamma of eq 23 turns into
         # 1/(gamma e^-alpha), gamma e^-alpha = 2 (e^-alpha - 1 + alpha)/alpha^2: no overflow.
         optics.area * sums.power / (exp_moment(0, optics.alpha) - exp_moment(1, optics.alpha)),
         _asymmetry(sums),
+        optics.area / (2.0 * math.pi) * jnp.imag(forward),
     )
-
-
-def forward_amplitude(
-    radius: Num[ArrayLike, "..."],
-    wavelength: Num[ArrayLike, "..."],
-    particle_index: Num[ArrayLike, "..."],
-    host_index: Num[ArrayLike, "..."],
-    max_size: float | None = None,
-) -> Complex[Array, "..."]:
-    """S(0)/k^2 in um2 (eq 21), the input of the effective index; arguments as `cross_sections`.
-
-    Extinction is 4 pi times its real part.
-    """
-    batch = _mie_input.sphere_batch(radius, wavelength, particle_index, host_index, max_size)
-    return batch.restore(_forward_amplitude(batch.arrays, batch.rows))
-
-
-@functools.partial(jax.jit, static_argnames="rows")
-def _forward_amplitude(arrays, rows):
-    optics = _optics(arrays, rows)
-    forward = _forward(_sums(optics.spheres, rows), optics)
-    return forward * (optics.area / (2.0 * math.pi)).astype(forward.dtype)
 
 
 def amplitudes(
