@@ -89,6 +89,10 @@ def fit_photo_command(
         str | None, typer.Option(help='Camera by name; "generic" if unknown.')
     ] = None,
     solar_zenith: SolarZenith = None,
+    azimuth: Annotated[
+        float | None,
+        typer.Option(help="Heading relative to the sun, degrees: 180 with the sun behind."),
+    ] = None,
     matrix: Annotated[
         bool, typer.Option(help="Free 3 x 3 colour matrix (raw developer unknown).")
     ] = False,
@@ -99,8 +103,7 @@ def fit_photo_command(
     from fitting.report import picture, save
 
     metres, relative = _depth(depth)
-    zenith = 40.0 if solar_zenith is None else solar_zenith
-    photo, clipped = read_photo(path, metres, relative, camera, zenith)
+    photo, clipped = read_photo(path, metres, relative, camera, solar_zenith, azimuth)
     with _status("fitting constituents (the first run compiles)"):
         fit = fit_photo(photo, matrix=matrix)
     if clipped or photo.masked:
@@ -203,14 +206,22 @@ def _finish(stem: Path, write_data, write_picture) -> None:
     print(f"wrote {data} and {image}")
 
 
-def main() -> None:
-    """Run the command line; bad input ends with a sentence and exit code 3."""
-    _set_up()
+def run(arguments: list[str]) -> int:
+    """Run one command; returns the exit code, 3 after a sentence about bad input."""
     try:
-        app()
+        app(arguments, standalone_mode=True)
     except (ValueError, OSError) as error:
         print(f"oceaninv: {error}", file=sys.stderr)
-        sys.exit(INPUT_ERROR)
+        return INPUT_ERROR
+    except SystemExit as end:
+        return int(end.code or 0)
+    return 0
+
+
+def main() -> None:
+    """The console script."""
+    _set_up()
+    sys.exit(run(sys.argv[1:]))
 
 
 if __name__ == "__main__":

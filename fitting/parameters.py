@@ -118,6 +118,10 @@ class Parameters(tuple[Parameter, ...]):
         weight = jnp.asarray([0.0 if p.spread is None else 1.0 / p.spread for p in self], x.dtype)
         return (x - self.start().astype(x.dtype)) * weight
 
+    def scale(self) -> Float[np.ndarray, " unknown"]:
+        """How far each coordinate may be expected to move: the prior's spread, 1 where flat."""
+        return np.asarray([1.0 if p.spread is None else p.spread for p in self])
+
     def replace(self, changes: Mapping[str, Parameter]) -> "Parameters":
         """The same set with some parameters exchanged by name."""
         for name in changes:

@@ -174,7 +174,7 @@ def _unknowns(photos: Sequence[Photo], matrix: bool) -> Parameters:
         )
         unknowns += [Parameter(f"gain_{p}_{c}", 1.0, None, nuisance=True) for c in "RGB"]
         unknowns += [
-            Parameter(f"chart_{p}_{k}", 1.0, 0.5, nuisance=True) for k in range(len(photo.charts))
+            Parameter(f"chart_{p}_{k}", 1.0, 1.0, nuisance=True) for k in range(len(photo.charts))
         ]
     return Parameters(unknowns)
 
@@ -218,7 +218,7 @@ def photo_residual(parameters: Parameters, readings, transport, sunlight):
 def _solve(parameters, readings, transport, sunlight):
     residual = photo_residual(parameters, readings, transport, sunlight)
     observed = tuple(one.values for one in readings)
-    optimum = least_squares(residual, parameters.start(), observed)
+    optimum = least_squares(residual, parameters.start(), observed, parameters.scale())
 
     def outcome(x):
         return water_quantities(parameters.values(x), WAVELENGTH, transport)

@@ -159,4 +159,4 @@ def derived_quantity(
     """Delta method for a positive quantity: `values` (...), `jacobian` (..., unknown)."""
     relative = jacobian / values[..., None]
     variance = np.einsum("...i,ij,...j->...", relative, covariance, relative)
-    return Quantity(values, np.sqrt(variance), unit, long_name)
+    return Quantity(values, np.asarray(np.sqrt(variance)), unit, long_name)

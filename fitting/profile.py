@@ -38,8 +38,8 @@ class BandFit(eqx.Module):
     """Exponential fits of many bands: `x` = (ln Ed(0-), ln Kd), each with a leading band axis."""
 
     optimum: Optimum
-    covariance: Float[Array, "band 2 2"]
-    noise: Float[Array, " band"]
+    covariance: Float[Array, "*band 2 2"]
+    noise: Float[Array, "*band"]
 
 
 @eqx.filter_jit
@@ -151,7 +151,7 @@ def _padded(count: int) -> int:
     return max(32, 1 << (count - 1).bit_length())
 
 
-def _pad(array: np.ndarray, size: int, fill: float) -> np.ndarray:
+def _pad(array: np.ndarray, size: int, fill) -> np.ndarray:
     return np.pad(array, [(0, 0), (0, size - array.shape[1])], constant_values=fill)
 
 
@@ -329,7 +329,7 @@ def _solve_constituents(parameters, grid, transport, cast: _Cast):
         data = jnp.where(cast.mask, (cast.Ed - model) / cast.sd, 0.0)
         return jnp.concatenate([data.reshape(-1), parameters.prior_residual(x)])
 
-    optimum = least_squares(residual, parameters.start(), cast)
+    optimum = least_squares(residual, parameters.start(), cast, parameters.scale())
 
     def outcome(x):
         quantities = water_quantities(parameters.values(x), np.asarray(grid), transport)

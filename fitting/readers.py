@@ -120,15 +120,13 @@ def read_profile(path: str | Path, solar_zenith: float | None = None) -> Profile
                 f"{sheet.path}: {name} is in {unit!r}; known are {', '.join(_IRRADIANCE_UNITS)}."
             )
         scaled.append(sheet.numbers(name) * _IRRADIANCE_UNITS[unit])
-    if solar_zenith is None and "solar_zenith" in sheet.header:
-        solar_zenith = _header_number(sheet, "solar_zenith")
     wavelength = [float(name[3:]) for name in bands]
     try:
         return Profile(
             sheet.numbers("depth"),
             wavelength,
             np.stack(scaled, axis=1),
-            solar_zenith=solar_zenith,
+            solar_zenith=_given(sheet, "solar_zenith", solar_zenith, None),
             source=str(path),
         )
     except ValueError as error:
@@ -140,7 +138,8 @@ def read_photo(
     depth: float,
     depth_sd: float = 0.02,
     camera: str | None = None,
-    solar_zenith: float = 40.0,
+    solar_zenith: float | None = None,
+    azimuth: float | None = None,
     field_noise: float = 0.03,
 ) -> tuple[Photo, int]:
     """Chart and background readings of one photograph, and how many rows were left out as clipped.
@@ -149,7 +148,8 @@ def read_photo(
     zenith (degrees of the line of sight), R, G, B (linear) and R_sd, G_sd, B_sd; optional
     `clipped` (1 leaves the row out).  `field_noise`: relative scatter that is added to the stated
     standard deviations (caustics, unevenness).  `camera`: a name of the response table,
-    "generic", or None for the header's `camera`.
+    "generic", or None for the header's `camera`.  `solar_zenith` and `azimuth` (degrees, 180 with
+    the sun behind the camera): None takes the header's, else 40 and 90.
     """
     sheet = read_sheet(path)
     channels = ["R", "G", "B"]
@@ -198,7 +198,8 @@ def read_photo(
             depth=depth,
             depth_sd=depth_sd,
             response=response,
-            solar_zenith=solar_zenith,
+            solar_zenith=_given(sheet, "solar_zenith", solar_zenith, 40.0),
+            azimuth=_given(sheet, "azimuth", azimuth, 90.0),
             source=str(path),
         )
     except ValueError as error:
@@ -206,9 +207,12 @@ def read_photo(
     return photo, int((~keep).sum())
 
 
-def _header_number(sheet: Sheet, key: str) -> float:
+def _given(sheet: Sheet, key: str, value: float | None, default: float | None) -> float | None:
+    """The caller's value, else the header's, else the default."""
+    if value is not None or key not in sheet.header:
+        return default if value is None else value
     text = sheet.header[key]
     try:
         return float(text)
     except ValueError:
-        raise ValueError(f"{sheet.path}: header {key!r} is {text!r}, not a number.") from None
+        raise ValueError(f"header {key!r} is {text!r}, not a number.") from None

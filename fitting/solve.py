@@ -12,6 +12,9 @@ from jaxtyping import Array, Float, Int
 
 Residual = Callable[[Float[Array, " unknown"], Any], Float[Array, " residual"]]
 
+# Standard deviations from the optimum at which a search counts as converged.
+_REMAINING = 1e-3
+
 RESULTS = {
     0: "converged",
     1: "the step limit was reached before the optimum: the data hardly constrain some unknown; "
@@ -33,18 +36,58 @@ class Optimum(eqx.Module):
     code: Int[Array, ""]
 
 
+class _TrustRegion(optx.AbstractSearch):
+    """Longer steps after good ones, shorter after bad ones, as in `optx.ClassicalTrustRegion`.
+
+    Two differences.  Steps grow as soon as the linear model is roughly right: the valleys of these
+    problems are long and curved.  And a change of the sum below its rounding error counts as no
+    loss: otherwise the last steps are refused for ever and the search never ends.
+    """
+
+    def init(self, y, f_info_struct):
+        return jnp.ones((), y.dtype)
+
+    def step(self, first_step, y, y_eval, f_info, f_eval_info, state):
+        along = f_info.jac.mv(y_eval - y)
+        predicted = jnp.sum(along * (f_info.residual + 0.5 * along))
+        before = f_info.as_min()
+        change = f_eval_info.as_min() - before
+        rounding = 256.0 * jnp.finfo(y.dtype).eps * before
+        accept = first_step | (change <= 0.01 * predicted + rounding)
+        good = ~first_step & (change <= 0.75 * predicted + rounding)
+        step_size = state * jnp.where(accept, jnp.where(good, 5.0, 1.0), 0.25).astype(y.dtype)
+        return step_size, accept, optx.RESULTS.successful, step_size
+
+
+class _LevenbergMarquardt(optx.AbstractGaussNewton):
+    rtol: float = 1e-6
+    atol: float = 1e-6
+    norm: Callable = optx.max_norm
+    descent: optx.AbstractDescent = optx.DampedNewtonDescent()
+    search: optx.AbstractSearch = _TrustRegion()
+    verbose: Callable = lambda **_: None
+
+
 def least_squares(
-    residual: Residual, start: Float[Array, " unknown"], args: Any = None, max_steps: int = 200
+    residual: Residual,
+    start: Float[Array, " unknown"],
+    args: Any = None,
+    scale: Float[np.ndarray, " unknown"] | None = None,
+    max_steps: int = 400,
 ) -> Optimum:
     """Minimise |residual(x, args)|^2 by Levenberg-Marquardt with forward-mode derivatives.
 
+    `scale`: how far each coordinate may be expected to move, 1 unless given; the damping is equal
+    in these units.  A search has converged when the step that would remain in the linearised
+    problem is below a thousandth of a standard deviation.
+
     Pure: jit and vmap it; a lane that fails carries a code instead of raising.
     """
-    solver = optx.LevenbergMarquardt(rtol=1e-8, atol=1e-8)
+    unit = jnp.ones_like(start) if scale is None else jnp.asarray(scale, start.dtype)
     solution = optx.least_squares(
-        residual,
-        solver,
-        start,
+        lambda u, args: residual(start + unit * u, args),
+        _LevenbergMarquardt(),
+        jnp.zeros_like(start),
         args,
         options={"jac": "fwd"},
         max_steps=max_steps,
@@ -53,10 +96,13 @@ def least_squares(
     )
     # The solver's last linearisation is that of the optimum: no second Jacobian to compile.
     last = solution.state.f_info
-    value, slope = last.residual, last.jac.as_matrix()
+    value, slope = last.residual, last.jac.as_matrix() / unit[None, :]
     finite = jnp.all(jnp.isfinite(value)) & jnp.all(jnp.isfinite(slope))
-    code = jnp.where(finite, jnp.where(solution.result == optx.RESULTS.successful, 0, 1), 2)
-    return Optimum(solution.value, value, slope, code.astype(jnp.int32))
+    downhill = jnp.where(finite, value @ slope, 0.0)
+    usable = jnp.where(finite, slope, 0.0)
+    remaining = downhill @ covariance(usable) @ downhill
+    code = jnp.where(finite, jnp.where(remaining <= _REMAINING**2, 0, 1), 2)
+    return Optimum(start + unit * solution.value, value, slope, code.astype(jnp.int32))
 
 
 def value_and_jacobian(function: Callable, x: Float[Array, " unknown"]):
@@ -79,11 +125,17 @@ def covariance(jacobian: Float[Array, "residual unknown"]) -> Float[Array, "unkn
 
 
 def cross_check(
-    residual: Residual, start: Float[Array, " unknown"], args: Any = None, reach: float = 12.0
+    residual: Residual,
+    start: Float[Array, " unknown"],
+    args: Any = None,
+    reach: float = 1e3,
+    rounds: int = 3,
 ) -> Float[Array, " unknown"]:
     """The same optimum by another road: jaxopt's bound-constrained L-BFGS, tolerance 1e-8.
 
-    Searches the box start +- reach.  Independent of `least_squares` in method and library.
+    Works in coordinates in which the problem, linearised where a round starts, is round (one unit
+    is one standard deviation), inside a box of +- `reach` units; curved valleys need some rounds.
+    Independent of `least_squares` in method, derivatives (reverse mode) and library.
     """
     import warnings
 
@@ -92,12 +144,18 @@ def cross_check(
         warnings.simplefilter("ignore", DeprecationWarning)
         import jaxopt
 
-    def objective(x):
-        r = residual(x, args)
+    def objective(u, centre, axes):
+        r = residual(centre + axes @ u, args)
         return 0.5 * jnp.sum(r * r)
 
     solver = jaxopt.LBFGSB(fun=objective, tol=1e-8, maxiter=500)
-    return solver.run(start, bounds=(start - reach, start + reach)).params
+    slope = jax.jit(lambda x: value_and_jacobian(lambda x: residual(x, args), x)[1])
+    zero = jnp.zeros_like(start)
+    x = start
+    for _ in range(rounds):
+        axes = jnp.linalg.cholesky(covariance(slope(x)))
+        x = x + axes @ solver.run(zero, (zero - reach, zero + reach), x, axes).params
+    return x
 
 
 def sentence(code) -> str:

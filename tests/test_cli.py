@@ -1,0 +1,123 @@
+import subprocess
+import sys
+from pathlib import Path
+
+import jax
+import numpy as np
+import pytest
+import xarray as xr
+
+from fitting import Profile, cli, fit_profile, report
+
+SCENES = Path(__file__).parents[1] / "scenes"
+CAST = str(SCENES / "argo_6903247.csv")
+
+
+def test_fit_profile_writes_a_cf_dataset_and_a_picture(tmp_path, capsys):
+    assert cli.run(["fit-profile", CAST, "-o", str(tmp_path / "cast"), "--kd-only"]) == 0
+    shown = capsys.readouterr().out
+    assert "mean from the surface to the depth of 10 % light" in shown
+    assert "search: converged" in shown
+    assert {p.name for p in tmp_path.iterdir()} == {"cast.nc", "cast.png"}
+    with xr.open_dataset(tmp_path / "cast.nc") as data:
+        assert data.Kd.attrs["units"] == "m-1"
+        assert data.Kd.attrs["standard_name"].startswith("volume_attenuation_coefficient")
+        assert data.depth.attrs["positive"] == "down"
+        # The float's Kd(490) in the blue eastern Mediterranean.
+        assert 0.035 < float(data.Kd.sel(wavelength=490)) < 0.05
+        assert bool(np.all(data.Kd_low < data.Kd) & np.all(data.Kd < data.Kd_high))
+
+
+@pytest.mark.slow
+def test_fit_profile_adds_constituents_as_a_group(tmp_path, capsys):
+    assert cli.run(["fit-profile", CAST, "-o", str(tmp_path / "cast")]) == 0
+    shown = capsys.readouterr().out
+    # Three bands cannot tell three constituents apart, and no bare number pretends that they do.
+    assert shown.count("not identifiable") == 3
+    with xr.open_dataset(tmp_path / "cast.nc", group="constituents") as data:
+        named = dict(zip(data.parameter.values, data.identifiable.values, strict=True))
+        assert named["chlorophyll"] == 0
+        assert float(data.Kd_490_low) < 0.043 < float(data.Kd_490_high)
+
+
+@pytest.mark.slow
+def test_fit_photo_reports_intervals_on_the_real_frame(tmp_path, capsys):
+    charts = str(SCENES / "red_sea_charts.csv")
+    code = cli.run(["fit-photo", charts, "--depth", "5+-2", "-o", str(tmp_path / "reef")])
+    assert code == 0
+    shown = capsys.readouterr().out
+    assert "left out: 5 clipped rows" in shown
+    assert "search: converged" in shown
+    with xr.open_dataset(tmp_path / "reef.nc") as data:
+        assert 0.02 < float(data.Kd_490_low) < float(data.Kd_490_high) < 0.15
+        assert 0.15 < float(data.c_550_low) < float(data.c_550_high) < 0.6
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        (["fit-profile", "nowhere.csv"], "nowhere.csv"),
+        (["fit-profile", CAST, "--from", "400", "--to", "500"], "leaves 0 usable depths at 380 nm"),
+        (["fit-profile", CAST, "--solar-zenith", "95"], "must lie in [0, 90)"),
+        (["fit-photo", CAST, "--depth", "5"], "column 'kind'"),
+        (["fit-photo", CAST, "--depth", "deep"], "--depth is 'deep'"),
+        (["fit-photo", CAST, "--depth", "-3+-1"], "must be positive"),
+    ],
+)
+def test_bad_input_ends_with_a_sentence_and_code_3(
+    arguments, sentence, tmp_path, monkeypatch, capsys
+):
+    monkeypatch.chdir(tmp_path)
+    assert cli.run(arguments) == 3
+    printed = capsys.readouterr().err
+    assert sentence in printed
+    assert "Traceback" not in printed
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_an_unwritable_output_leaves_nothing_behind(tmp_path, capsys):
+    stem = tmp_path / "missing" / "cast"
+    assert cli.run(["fit-profile", CAST, "-o", str(stem), "--kd-only"]) == 3
+    assert "does not exist" in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_failed_write_keeps_the_old_file_and_no_temporary(tmp_path):
+    target = tmp_path / "result.nc"
+    target.write_text("old")
+
+    def fail():
+        with report.whole(target) as temporary:
+            temporary.write_text("half")
+            raise OSError("disk full")
+
+    with pytest.raises(OSError, match="disk full"):
+        fail()
+    assert target.read_text() == "old"
+    assert [p.name for p in tmp_path.iterdir()] == ["result.nc"]
+
+
+def test_a_dataset_survives_a_round_trip(tmp_path):
+    depth = np.linspace(0.5, 20.0, 40)
+    fit = fit_profile(
+        Profile(depth, [490.0], np.exp(-0.1 * depth)[:, None]), depth_range=(0.0, 30.0)
+    )
+    report.save(tmp_path / "fit.nc", fit)
+    with xr.open_dataset(tmp_path / "fit.nc") as data:
+        np.testing.assert_allclose(data.Kd, [0.1], rtol=1e-6)
+        assert data.parameter.values.tolist() == ["Ed0_490", "Kd_490"]
+        assert data.attrs["Conventions"] == "CF-1.11"
+
+
+def test_the_console_script_sets_float64_before_any_array():
+    code = (
+        "import sys; sys.argv = ['oceaninv', 'fit-profile', 'nowhere.csv']\n"
+        "import fitting.cli, jax\n"
+        "try:\n    fitting.cli.main()\n"
+        "except SystemExit as end:\n    print(end.code, jax.config.jax_enable_x64, "
+        "bool(jax.config.jax_compilation_cache_dir))\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.split() == ["3", "True", "True"]
+    assert "nowhere.csv" in done.stderr
+    assert jax.config.jax_enable_x64
