@@ -5,6 +5,7 @@ import dataclasses
 import math
 from collections.abc import Mapping, Sequence
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -91,6 +92,22 @@ class Parameter:
             raise ValueError(f"spread of {self.name} must be positive or None, not {self.spread}.")
 
 
+class Prior(eqx.Module):
+    """The numbers of a set of priors: arrays, so that one program serves all their values.
+
+    `centre`: coordinates; `weight`: 1/spread, 0 where flat; `scale`: how far each coordinate may
+    be expected to move, the spread or 1 where flat.
+    """
+
+    centre: Float[Array, " unknown"]
+    weight: Float[Array, " unknown"]
+    scale: Float[Array, " unknown"]
+
+    def residual(self, x: Float[Array, " unknown"]) -> Float[Array, " unknown"]:
+        """(x - centre)/spread, 0 where the prior is flat."""
+        return (x - self.centre) * self.weight
+
+
 class Parameters(tuple[Parameter, ...]):
     """An ordered set of unknowns, and the vector of their coordinates."""
 
@@ -105,22 +122,27 @@ class Parameters(tuple[Parameter, ...]):
         """Names in order."""
         return tuple(p.name for p in self)
 
-    def start(self) -> Float[Array, " unknown"]:
-        """Coordinates at the priors' centres."""
-        return jnp.asarray([p.transform.coordinate(p.centre) for p in self], dtype=float)
-
     def values(self, x: Float[Array, " unknown"]) -> dict[str, Float[Array, ""]]:
         """Physical values by name."""
         return {p.name: p.transform.physical(x[i]) for i, p in enumerate(self)}
 
-    def prior_residual(self, x: Float[Array, " unknown"]) -> Float[Array, " unknown"]:
-        """(x - centre)/spread, 0 where the prior is flat."""
-        weight = jnp.asarray([0.0 if p.spread is None else 1.0 / p.spread for p in self], x.dtype)
-        return (x - self.start().astype(x.dtype)) * weight
+    def prior(self) -> Prior:
+        """Centres and spreads as arrays; the search starts at the centres."""
+        spreads = [p.spread for p in self]
+        return Prior(
+            jnp.asarray([p.transform.coordinate(p.centre) for p in self], dtype=float),
+            jnp.asarray([0.0 if s is None else 1.0 / s for s in spreads], dtype=float),
+            jnp.asarray([1.0 if s is None else s for s in spreads], dtype=float),
+        )
 
-    def scale(self) -> Float[np.ndarray, " unknown"]:
-        """How far each coordinate may be expected to move: the prior's spread, 1 where flat."""
-        return np.asarray([1.0 if p.spread is None else p.spread for p in self])
+    def layout(self) -> "Parameters":
+        """Names and transforms alone: what a compiled program depends on."""
+        return Parameters(
+            [
+                Parameter(p.name, float(p.transform.physical(np.float64(0.0))), None, p.transform)
+                for p in self
+            ]
+        )
 
     def replace(self, changes: Mapping[str, Parameter]) -> "Parameters":
         """The same set with some parameters exchanged by name."""

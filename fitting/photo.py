@@ -14,6 +14,7 @@ from fitting.parameters import (
     Log,
     Parameter,
     Parameters,
+    Prior,
     constituents,
     shape_nuisances,
     water_iops,
@@ -187,7 +188,8 @@ def _predict_all(parameters, readings, transport, sunlight, x):
 
 def _start_gains(parameters: Parameters, readings, transport, sunlight) -> Parameters:
     """Centre the gains where the model at the priors' centres is as bright as the readings."""
-    at_centre = _predict_all(parameters, readings, transport, sunlight, parameters.start())
+    centre = parameters.prior().centre
+    at_centre = _predict_all(parameters.layout(), readings, transport, sunlight, centre)
     changes = {}
     for p, (one, model) in enumerate(zip(readings, at_centre, strict=True)):
         ratio = np.where(np.asarray(one.mask), np.asarray(one.values) / np.asarray(model), np.nan)
@@ -200,32 +202,47 @@ def _start_gains(parameters: Parameters, readings, transport, sunlight) -> Param
     return parameters.replace(changes)
 
 
-def photo_residual(parameters: Parameters, readings, transport, sunlight):
-    """The function of (x, values of each photograph) whose square a photo fit minimises."""
+def photo_residual(parameters: Parameters, readings, transport, sunlight, prior=None):
+    """The function of (x, values of each photograph) whose square a photo fit minimises.
+
+    `prior`: the numbers of the priors; those of `parameters` unless given.
+    """
+    prior = parameters.prior() if prior is None else prior
 
     def residual(x, observed):
-        model = _predict_all(parameters, readings, transport, sunlight, x)
+        model = _predict_all(parameters.layout(), readings, transport, sunlight, x)
         parts = [
             jnp.where(one.mask, (data - seen) / one.sigma, 0.0).reshape(-1)
             for one, data, seen in zip(readings, observed, model, strict=True)
         ]
-        return jnp.concatenate([*parts, parameters.prior_residual(x)])
+        return jnp.concatenate([*parts, prior.residual(x)])
 
     return residual
 
 
 @eqx.filter_jit
-def _solve(parameters, readings, transport, sunlight):
-    residual = photo_residual(parameters, readings, transport, sunlight)
+def _solve(layout: Parameters, prior: Prior, readings, transport, sunlight):
+    residual = photo_residual(layout, readings, transport, sunlight, prior)
     observed = tuple(one.values for one in readings)
-    optimum = least_squares(residual, parameters.start(), observed, parameters.scale())
+    optimum = least_squares(residual, prior.centre, observed, prior.scale)
 
     def outcome(x):
-        return water_quantities(parameters.values(x), WAVELENGTH, transport)
+        return water_quantities(layout.values(x), WAVELENGTH, transport)
 
     quantities, slopes = value_and_jacobian(outcome, optimum.x)
-    model = _predict_all(parameters, readings, transport, sunlight, optimum.x)
-    return optimum, covariance(optimum.jacobian), quantities, slopes, model
+    return optimum, covariance(optimum.jacobian), quantities, slopes
+
+
+def _fitted(readings, residual: np.ndarray) -> np.ndarray:
+    """(reading, channel) fitted values of all photographs, NaN where the reading is masked."""
+    parts, at = [], 0
+    for one in readings:
+        size = one.values.size
+        misfit = residual[at : at + size].reshape(one.values.shape)
+        fitted = np.asarray(one.values) - misfit * np.asarray(one.sigma)
+        parts.append(np.where(np.asarray(one.mask), fitted, np.nan))
+        at += size
+    return np.concatenate(parts)
 
 
 def prepare(photos: Sequence[Photo], transport, priors=None, matrix: bool = False, sunlight=None):
@@ -265,14 +282,16 @@ def fit_photo(
     photos = [photos] if isinstance(photos, Photo) else list(photos)
     transport = oi.TwoStream() if transport is None else transport
     parameters, readings, sunlight = prepare(photos, transport, priors, matrix, sunlight)
-    optimum, cov, values, slopes, model = _solve(parameters, readings, transport, sunlight)
+    optimum, cov, values, slopes = _solve(
+        parameters.layout(), parameters.prior(), readings, transport, sunlight
+    )
     cov = np.asarray(cov)
     observed = np.concatenate(
         [np.where(np.asarray(one.mask), np.asarray(one.values), np.nan) for one in readings]
     )
     predictive = Predictive(
         observed,
-        np.concatenate([np.asarray(m) for m in model]),
+        _fitted(readings, np.asarray(optimum.residual)),
         np.concatenate([np.asarray(one.sigma) for one in readings]),
         ("reading", "channel"),
         "1",

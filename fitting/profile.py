@@ -15,6 +15,7 @@ from fitting.parameters import (
     Log,
     Parameter,
     Parameters,
+    Prior,
     constituents,
     shape_nuisances,
     water_iops,
@@ -323,19 +324,20 @@ def _model_ed(parameters: Parameters, grid, transport, x, depth):
 
 
 @eqx.filter_jit
-def _solve_constituents(parameters, grid, transport, cast: _Cast):
+def _solve_constituents(layout: Parameters, prior: Prior, grid, transport, cast: _Cast):
     def residual(x, cast):
-        model = _model_ed(parameters, grid, transport, x, cast.depth)
+        model = _model_ed(layout, grid, transport, x, cast.depth)
         data = jnp.where(cast.mask, (cast.Ed - model) / cast.sd, 0.0)
-        return jnp.concatenate([data.reshape(-1), parameters.prior_residual(x)])
+        return jnp.concatenate([data.reshape(-1), prior.residual(x)])
 
-    optimum = least_squares(residual, parameters.start(), cast, parameters.scale())
+    optimum = least_squares(residual, prior.centre, cast, prior.scale)
 
     def outcome(x):
-        quantities = water_quantities(parameters.values(x), np.asarray(grid), transport)
-        return quantities, _model_ed(parameters, grid, transport, x, cast.depth)
+        return water_quantities(layout.values(x), np.asarray(grid), transport)
 
-    (quantities, model), (slopes, _) = value_and_jacobian(outcome, optimum.x)
+    quantities, slopes = value_and_jacobian(outcome, optimum.x)
+    data = optimum.residual[: cast.Ed.size].reshape(cast.Ed.shape)
+    model = jnp.where(cast.mask, cast.Ed - data * cast.sd, jnp.nan)
     return optimum, covariance(optimum.jacobian), quantities, slopes, model
 
 
@@ -356,7 +358,9 @@ def _constituent_fit(profile, mask, bands, transport, priors, metadata) -> Fit:
         pad(mask, False),
     )
     grid = tuple(profile.wavelength.tolist())
-    optimum, cov, values, slopes, fitted = _solve_constituents(parameters, grid, transport, cast)
+    optimum, cov, values, slopes, fitted = _solve_constituents(
+        parameters.layout(), parameters.prior(), grid, transport, cast
+    )
     cov = np.asarray(cov)
     quantities, sensitivity = quantities_of(values, slopes, parameters, cov)
     return Fit(

@@ -72,7 +72,7 @@ def least_squares(
     residual: Residual,
     start: Float[Array, " unknown"],
     args: Any = None,
-    scale: Float[np.ndarray, " unknown"] | None = None,
+    scale: Float[Array, " unknown"] | None = None,
     max_steps: int = 400,
 ) -> Optimum:
     """Minimise |residual(x, args)|^2 by Levenberg-Marquardt with forward-mode derivatives.
@@ -83,7 +83,7 @@ def least_squares(
 
     Pure: jit and vmap it; a lane that fails carries a code instead of raising.
     """
-    unit = jnp.ones_like(start) if scale is None else jnp.asarray(scale, start.dtype)
+    unit = jnp.ones_like(start) if scale is None else scale.astype(start.dtype)
     solution = optx.least_squares(
         lambda u, args: residual(start + unit * u, args),
         _LevenbergMarquardt(),
