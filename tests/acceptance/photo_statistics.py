@@ -1,0 +1,301 @@
+"""Statistics of the photo fit: against the Cramer-Rao bound, and against waters of another model.
+
+    python -m tests.acceptance.photo_statistics [matched | mismatched]
+
+Prints the tables and writes them beside this file (photo_matched.md, photo_mismatched.md).  Seeded;
+a few minutes each.
+
+Protocol: one frame at 5 m by a Nikon D850; 24 patches (colour-science's ColorChecker 2005) at 1, 2
+and 4 m and open water, horizontally; exposure and white balance unknown; 1 % noise.
+
+- Matched: coastal water (chlorophyll 1.5 mg/m3, CDOM 0.15 /m, detritus 0.08 /m) by the fit's own
+  model, every nuisance drawn from its prior.  The bound is Bayesian: information of the readings
+  (central finite differences of `fitting.photo.predict`) and of the priors, at each draw's truth.
+- Mismatched: the exact photographs of `_mismatched.py`, fitted with the default model.
+"""
+
+import functools
+import sys
+from pathlib import Path
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from scipy.stats import binom
+
+import oceaninv as oi
+from fitting import Background, Chart, Photo
+from fitting.photo import WAVELENGTH, photo_residual, predict, prepare
+from fitting.posterior import quantile
+from fitting.quantities import water_quantities
+from fitting.solve import covariance, least_squares, value_and_jacobian
+from tests.acceptance import _mismatched
+
+DRAWS, CHUNK, NOISE = 200, 25, 0.01
+RANGES, DEPTH, SUN = (1.0, 2.0, 4.0), 5.0, 40.0
+COAST = {"chlorophyll": 1.5, "cdom": 0.15, "detritus": 0.08}
+QUANTITIES = ("Kd_490", "c_550", "a_cdm_440", "bb_550")
+LEVELS = (0.68, 0.95)
+
+
+@functools.cache
+def patches() -> np.ndarray:
+    """(24, 16) reflectances of the ColorChecker."""
+    spectra = oi.spectrum._colour().SDS_COLOURCHECKERS["ISO 17321-1"]
+    return np.stack([np.interp(WAVELENGTH, s.wavelengths, s.values) for s in spectra.values()])
+
+
+@functools.cache
+def problem(sun: float = SUN):
+    """Parameters, readings (values to be replaced) and sunlight of the protocol's photograph."""
+    ones = np.ones((24, 3))
+    charts = [Chart(ones, patches(), r, name=f"{r:g} m") for r in RANGES]
+    photo = Photo(
+        charts,
+        [Background(np.ones((1, 3)))],
+        response=oi.spectrum.camera_response("Nikon D850"),
+        depth=DEPTH,
+        solar_zenith=sun,
+    )
+    return prepare([photo], oi.TwoStream())
+
+
+def scalars(values):
+    """The scalar quantities, (quantity,)."""
+    found = water_quantities(values, WAVELENGTH, oi.TwoStream())
+    return jnp.stack([found[name] for name in QUANTITIES])
+
+
+@functools.cache
+def programs():
+    """Batched (predict and quantities, fit, slopes of the quantities), compiled once each."""
+    parameters, (readings,), sunlight = problem()
+    layout, prior = parameters.layout(), parameters.prior()
+    transport = oi.TwoStream()
+
+    def quantities(x):
+        return jnp.log(scalars(layout.values(x)))
+
+    def forward(x):
+        return predict(layout.values(x), readings, transport, sunlight), quantities(x)
+
+    def fit(seen, centre, start):
+        """Optimum, code, covariance and reduced chi2, with the default 1 % of each reading."""
+        mask = seen > 0
+        here = eqx.tree_at(
+            lambda r: (r.values, r.sigma, r.mask),
+            readings,
+            (jnp.where(mask, seen, 1.0), jnp.where(mask, NOISE * seen, 1.0), mask),
+        )
+        # The priors' centres follow the frame: its sun.
+        own = eqx.tree_at(lambda p: p.centre, prior, centre)
+        residual = photo_residual(layout, (here,), transport, sunlight, own)
+        optimum = least_squares(residual, start, (here.values,), prior.scale)
+        chi2 = jnp.sum(optimum.residual**2) / seen.size
+        return optimum.x, optimum.code, covariance(optimum.jacobian), chi2
+
+    def slopes(x):
+        return value_and_jacobian(quantities, x)
+
+    return tuple(jax.jit(jax.vmap(f)) for f in (forward, fit, slopes))
+
+
+def by_chunks(program, *arrays):
+    """A batched program over draws in chunks of one size, so that it compiles once."""
+    count, chunks = len(arrays[0]), []
+    for first in range(0, count, CHUNK):
+        index = np.arange(first, first + CHUNK) % count
+        out = jax.tree.map(np.asarray, program(*(jnp.asarray(a[index]) for a in arrays)))
+        chunks.append(tuple(part[: count - first] for part in out))
+    return tuple(np.concatenate(parts) for parts in zip(*chunks, strict=True))
+
+
+def fit_all(seen, suns):
+    """Fits of (draw, reading, channel): x, code, covariance, chi2, ln quantities and slopes."""
+    parameters = problem()[0]
+    forward, fit, slopes = programs()
+    centre = np.tile(np.asarray(parameters.prior().centre), (len(seen), 1))
+    centre[:, parameters.names.index("solar_zenith")] = np.log(suns)
+    at_centre = by_chunks(forward, centre)[0]
+    gains = [parameters.names.index(f"gain_0_{c}") for c in "RGB"]
+    start = centre.copy()
+    start[:, gains] += np.log(np.median(seen / at_centre, axis=1))
+    found = by_chunks(fit, seen, centre, start)
+    return (*found, *by_chunks(slopes, found[0]))
+
+
+def truths(count: int, seed: int) -> np.ndarray:
+    """(draw, unknown) coordinates: the coast, nuisances from their priors, arbitrary gains."""
+    parameters = problem()[0]
+    rng = np.random.default_rng(seed)
+    x = np.tile(np.asarray(parameters.prior().centre), (count, 1))
+    for i, p in enumerate(parameters):
+        if p.name in COAST:
+            x[:, i] = np.log(COAST[p.name])
+        elif p.spread is None:
+            x[:, i] = rng.normal(0.0, 0.5, count)
+        else:
+            x[:, i] += p.spread * rng.standard_normal(count)
+    return x
+
+
+def bayesian_bound(x: np.ndarray, step: float = 1e-5):
+    """(draw, unknown) and (draw, quantity) bounds on sd, by central finite differences."""
+    parameters = problem()[0]
+    forward = programs()[0]
+    seen = by_chunks(forward, x)[0]
+    slopes, of_quantities = [], []
+    for i in range(x.shape[1]):
+        move = step * (np.arange(x.shape[1]) == i)
+        up, down = by_chunks(forward, x + move), by_chunks(forward, x - move)
+        slopes.append((up[0] - down[0]) / (2 * step))
+        of_quantities.append((up[1] - down[1]) / (2 * step))
+    weighted = np.stack(slopes, axis=-1) / (NOISE * seen)[..., None]
+    information = np.einsum("drci,drcj->dij", weighted, weighted)
+    prior = np.asarray(parameters.prior().weight) ** 2
+    best = np.linalg.inv(information + np.diag(prior))
+    slope = np.stack(of_quantities, axis=-1)
+    return (
+        np.sqrt(np.einsum("dii->di", best)),
+        np.sqrt(np.einsum("dqi,dij,dqj->dq", slope, best, slope)),
+    )
+
+
+def matched(count: int = DRAWS, seed: int = 11):
+    """By name: errors (ln), bounds and reported sd, each (draw,); and the share that converged."""
+    x = truths(count, seed)
+    exact, logs = by_chunks(programs()[0], x)
+    noise = np.random.default_rng(seed + 1).standard_normal(exact.shape)
+    best, best_quantities = bayesian_bound(x)
+    found, code, cov, _, log_found, slope = fit_all(
+        exact * (1 + NOISE * noise), np.full(count, SUN)
+    )
+    sd = np.sqrt(np.einsum("dii->di", cov))
+    sd_quantities = np.sqrt(np.einsum("dqi,dij,dqj->dq", slope, cov, slope))
+    names = problem()[0].names
+    rows = {}
+    for name in COAST:
+        i = names.index(name)
+        rows[name] = (found[:, i] - x[:, i], best[:, i], sd[:, i])
+    for q, name in enumerate(QUANTITIES):
+        rows[name] = (log_found[:, q] - logs[:, q], best_quantities[:, q], sd_quantities[:, q])
+    return rows, float(np.mean(code == 0))
+
+
+def summary(error, best, sd) -> dict[str, float]:
+    """The numbers of one row."""
+    out = {
+        "sd": float(np.std(error / best, ddof=1)),
+        "bias": float(np.mean(error / best)),
+        "reported": float(np.median(sd / best)),
+        "relative": float(np.median(best)),
+    }
+    for level in LEVELS:
+        out[f"coverage {level}"] = float(np.mean(np.abs(error) <= quantile(level) * sd))
+    return out
+
+
+def matched_table(count: int = DRAWS) -> str:
+    rows, converged = matched(count)
+    bands = {p: np.array(binom.interval(0.99, count, p)) / count for p in LEVELS}
+    heads = [f"{p:.0%} covers ({bands[p][0]:.3f}-{bands[p][1]:.3f})" for p in LEVELS]
+    lines = [
+        "# Photo fit, matched model\n",
+        f"`python -m tests.acceptance.photo_statistics matched`: {count} draws, converged "
+        f"{converged:.3f}.  Errors are of logarithms, in units of the bound.\n",
+        f"| | bound (relative) | sd / bound | bias / bound | reported sd / bound | {heads[0]} | "
+        f"{heads[1]} |",
+        "|---|---|---|---|---|---|---|",
+    ]
+    for name, row in rows.items():
+        s = summary(*row)
+        lines.append(
+            f"| {name} | {s['relative']:.3f} | {s['sd']:.3f} | {s['bias']:+.3f} | "
+            f"{s['reported']:.3f} | {s['coverage 0.68']:.3f} | {s['coverage 0.95']:.3f} |"
+        )
+    return "\n".join(lines)
+
+
+def photographs(repeats: int, seed: int = 5):
+    """Noisy readings (water x repeat, reading, channel), suns and true ln quantities."""
+    weights = np.asarray(oi.spectrum.camera_response("Nikon D850").weights(WAVELENGTH))
+    sunlight = oi.spectrum.daylight(WAVELENGTH)
+    rng = np.random.default_rng(seed)
+    frames, suns, true = [], [], []
+    waters = _mismatched.load()
+    for water in waters:
+        for _ in range(repeats):
+            rows = []
+            for k, r in enumerate(RANGES):
+                light = np.exp(0.3 * rng.standard_normal()) * water.Ed * np.exp(-water.c * r)
+                rows.append(patches() / np.pi * light + water.path[k])
+            spectra = np.concatenate([*rows, water.background[None]]) * sunlight
+            values = spectra @ weights.T * np.exp(0.5 * rng.standard_normal(3))
+            frames.append(values * (1 + NOISE * rng.standard_normal(values.shape)))
+            suns.append(water.sun)
+            true.append([water.kd_490, water.c_550, water.a_cdm_440, water.chlorophyll])
+    return np.stack(frames), np.array(suns), np.log(true), waters
+
+
+TRUE = ("Kd_490", "c_550", "a_cdm_440", "chlorophyll")
+
+
+def mismatched(repeats: int = 5):
+    """Errors (ln) and reported sd, each (draw, TRUE); codes, reduced chi2, waters, optima."""
+    seen, suns, true, waters = photographs(repeats)
+    x, code, cov, chi2, logs, slope = fit_all(seen, suns)
+    variance = np.einsum("dqi,dij,dqj->dq", slope, cov, slope)
+    i = problem()[0].names.index("chlorophyll")
+    found = np.column_stack([logs[:, :3], x[:, i]])
+    sd = np.sqrt(np.column_stack([variance[:, :3], cov[:, i, i]]))
+    return found - true, sd, code, chi2, waters, x
+
+
+def mismatched_table(repeats: int = 5) -> str:
+    error, sd, code, chi2, waters, _ = mismatched(repeats)
+    lines = [
+        "# Photo fit, truth of another model\n",
+        f"`python -m tests.acceptance.photo_statistics mismatched`: {len(waters)} waters x "
+        f"{repeats} frames, converged {np.mean(code == 0):.3f}, median reduced chi2 "
+        f"{np.median(chi2):.2f}.\n",
+        "| | median error | median absolute error | median reported sd | 68 % covers | "
+        "95 % covers |",
+        "|---|---|---|---|---|---|",
+    ]
+    for q, name in enumerate(TRUE):
+        cover = [np.mean(np.abs(error[:, q]) <= quantile(p) * sd[:, q]) for p in LEVELS]
+        lines.append(
+            f"| {name} | {np.expm1(np.median(error[:, q])):+.1%} | "
+            f"{np.expm1(np.median(np.abs(error[:, q]))):.1%} | {np.median(sd[:, q]):.3f} | "
+            f"{cover[0]:.3f} | {cover[1]:.3f} |"
+        )
+    lines += [
+        "\nWater by water: mean of ln(fitted / true), in brackets the mean reported sd.\n",
+        "| chl | minerals | CDOM | sun | " + " | ".join(TRUE) + " | reduced chi2 |",
+        "|---|---|---|---|" + "---|" * (len(TRUE) + 1),
+    ]
+    for k, water in enumerate(waters):
+        rows = slice(k * repeats, (k + 1) * repeats)
+        cells = [
+            f"{np.mean(error[rows, q]):+.3f} ({np.mean(sd[rows, q]):.3f})" for q in range(len(TRUE))
+        ]
+        lines.append(
+            f"| {water.chlorophyll:.2f} | {water.minerals:.2f} | {water.cdom:.3f} | "
+            f"{water.sun:.0f} | {' | '.join(cells)} | {np.mean(chi2[rows]):.2f} |"
+        )
+    return "\n".join(lines)
+
+
+def main():
+    jax.config.update("jax_enable_x64", True)
+    wanted = sys.argv[1:] or ["matched", "mismatched"]
+    for name, table in (("matched", matched_table), ("mismatched", mismatched_table)):
+        if name in wanted:
+            report = table()
+            print(report)
+            Path(__file__).with_name(f"photo_{name}.md").write_text(report + "\n")
+
+
+if __name__ == "__main__":
+    main()
