@@ -83,7 +83,8 @@ def scratch_rows(largest: float | None, max_size: float | None) -> int:
                 "(jit, grad or vmap): scratch space must have a fixed size."
             )
         max_size = largest
-    if not (largest or 0.0) <= max_size < 1e8:
+    # Rounding in either number is no reason to refuse: the scratch space has room for it.
+    if not (largest or 0.0) * (1 - 1e-6) <= max_size < 1e8:
         raise ValueError(
             f"max_size must be at least the largest size parameter, {largest or 0.0:g}, and below "
             f"1e8; it is {max_size:g}."

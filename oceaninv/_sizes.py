@@ -96,10 +96,9 @@ class LogNormal(AbstractSizes):
                 raise ValueError("minimum and maximum (um) are needed where mean or cv is traced.")
             width = float(self.log_width)
             middle = float(self.log_median) + 3 * width**2
-            ends = np.exp(middle - 5.6 * width), np.exp(middle + 5.6 * width)
-            minimum = ends[0] if minimum is None else minimum
-            maximum = ends[1] if maximum is None else maximum
-        self.minimum, self.maximum = _limits(float(minimum), float(maximum))
+            minimum = float(np.exp(middle - 5.6 * width)) if minimum is None else minimum
+            maximum = float(np.exp(middle + 5.6 * width)) if maximum is None else maximum
+        self.minimum, self.maximum = _limits(minimum, maximum)
 
     def nodes(self, count: int) -> tuple[Float[Array, " radius"], Float[Array, " radius"]]:
         radius, weight = _log_grid(self.minimum, self.maximum, count)
@@ -190,8 +189,8 @@ class Tabulated(AbstractSizes):
 
     def __init__(
         self,
-        radius: Float[np.ndarray, " knot"] | Sequence[float],
-        density: Num[ArrayLike, " knot"],
+        radius: Float[np.ndarray, "..."] | Sequence[float],
+        density: Num[ArrayLike, "..."],
         density_of: str = "number",
     ):
         """radius in um, positive, strictly rising; density >= 0, in any unit."""

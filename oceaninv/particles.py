@@ -25,7 +25,7 @@ from oceaninv._sizes import (
     cylinder_spheres,
     ellipsoid_spheres,
 )
-from oceaninv.tables import check_wavelength
+from oceaninv.tables import Wavelengths, check_wavelength
 
 __all__ = [
     "AbstractSizes",
@@ -116,8 +116,8 @@ class Population(eqx.Module):
     ):
         """index n + ik: a number or one per wavelength; volume_fraction between 0 and 1."""
         self.index = jnp.asarray(index)
-        if not is_traced(volume_fraction) and not 0 <= volume_fraction <= 1:
-            raise ValueError(f"volume_fraction must be between 0 and 1; it is {volume_fraction:g}.")
+        if not is_traced(volume_fraction) and not 0 <= np.asarray(volume_fraction) <= 1:
+            raise ValueError(f"volume_fraction must be between 0 and 1; it is {volume_fraction}.")
         volume_fraction = jnp.asarray(volume_fraction)
         self.volume_fraction = volume_fraction.astype(jnp.real(self.index).dtype)
         self.sizes, self.radii = sizes, radii
@@ -133,7 +133,7 @@ class Population(eqx.Module):
         columns = [v[:, None] if jnp.ndim(v) else v for v in (wavelength, self.index, host)]
         return radius, weight, (radius[None, :], *columns), float(largest)
 
-    def bulk(self, wavelength: ArrayLike, host_index: Num[ArrayLike, "..."]) -> Bulk:
+    def bulk(self, wavelength: Wavelengths, host_index: Num[ArrayLike, "..."]) -> Bulk:
         """Bulk coefficients (eqs 27, 28, 31, 33) at concrete wavelengths (nm) in a host.
 
         host_index: n + ik, a number or one per wavelength.  Where it is traced, |host_index| <= 2
@@ -161,7 +161,7 @@ class Population(eqx.Module):
     def phase_function(
         self,
         cos_theta: Float[ArrayLike, " angle"],
-        wavelength: ArrayLike,
+        wavelength: Wavelengths,
         host_index: Num[ArrayLike, "..."],
     ) -> Float[Array, "angle wl"]:
         """Phase function of the population in 1/sr (eq 31), integral 1 over 4 pi."""
@@ -184,7 +184,7 @@ def _every_other(weight: Array) -> Array:
 
 
 def medium(
-    wavelength: ArrayLike, host_index: Num[ArrayLike, "..."], populations: Sequence[Population]
+    wavelength: Wavelengths, host_index: Num[ArrayLike, "..."], populations: Sequence[Population]
 ) -> Bulk:
     """Host and populations together (eqs 29, 30, 32, 33): a includes the host's own absorption."""
     wavelength = check_wavelength(wavelength)
@@ -205,7 +205,7 @@ def medium(
 
 
 def effective_index(
-    wavelength: ArrayLike, host_index: Num[ArrayLike, "..."], bulk: Bulk
+    wavelength: Wavelengths, host_index: Num[ArrayLike, "..."], bulk: Bulk
 ) -> Complex[Array, " wl"]:
     """Index of the medium: eq 33 for its real part, eq 6 with the bulk absorption for the other."""
     wavelength = check_wavelength(wavelength)
