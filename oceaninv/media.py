@@ -99,8 +99,8 @@ class Medium(eqx.Module):
         The phase function of each inclusion is computed at `shapes` wavelengths spread evenly over
         the grid, and every other wavelength mixes its two neighbours; weights are never negative
         and every shape is fixed, as transports want it.  More shapes cost more and mix better:
-        over 400-700 nm the North Sea's backscatter ratio is within 3 % with 2 shapes and 1 % with 3
-        (`tests/test_media.py`).  `fit` replaces each shape by a simpler function, for example
+        over 400-700 nm the North Sea's bb/b is within 3 % with 2 shapes and 1 % with 3, its phase
+        function within 2 % on average (`tests/test_media.py`).  `fit` replaces each shape by a simpler function, for example
         `fit_lobes`, three Henyey-Greenstein lobes of the same mean cosine.
 
         Scattering by the host's molecules is not part of it.
@@ -151,7 +151,8 @@ def fit_lobes(phase: AbstractPhase, lobes: int = 3) -> Mixture:
 
     Of all sets of lobes out of a fixed list of mean cosines, the one with the least rms relative
     error over 5-175 degrees, evenly in angle.  bb/b is part of the fit but not kept exactly: where
-    large smooth spheres scatter less backwards than any mixture of lobes can, it comes out high.
+    large smooth spheres scatter less backwards than any mixture of lobes can, it comes out high
+    (2.4 times for algae, within 5 % for minerals; p within a factor of 3).
     Concrete phase functions only.
     """
     import scipy.optimize
