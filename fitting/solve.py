@@ -149,12 +149,17 @@ def cross_check(
         return 0.5 * jnp.sum(r * r)
 
     solver = jaxopt.LBFGSB(fun=objective, tol=1e-8, maxiter=500)
-    slope = jax.jit(lambda x: value_and_jacobian(lambda x: residual(x, args), x)[1])
     zero = jnp.zeros_like(start)
+
+    @jax.jit
+    def improve(x):
+        slope = value_and_jacobian(lambda x: residual(x, args), x)[1]
+        axes = jnp.linalg.cholesky(covariance(slope))
+        return x + axes @ solver.run(zero, (zero - reach, zero + reach), x, axes).params
+
     x = start
     for _ in range(rounds):
-        axes = jnp.linalg.cholesky(covariance(slope(x)))
-        x = x + axes @ solver.run(zero, (zero - reach, zero + reach), x, axes).params
+        x = improve(x)
     return x
 
 

@@ -1,0 +1,131 @@
+"""Intervals, identifiability and derived quantities."""
+
+import json
+
+import numpy as np
+import pytest
+from scipy.stats import norm, t
+
+from fitting import Fit, Identity, Logit, Parameter, Quantity
+from fitting.parameters import Parameters
+from fitting.posterior import Predictive, derived_quantity, quantile
+
+
+def fit(parameters, x, sd, correlation=0.0, dof=None, result="converged"):
+    sd = np.asarray(sd, dtype=float)
+    matrix = np.full((len(sd), len(sd)), correlation)
+    np.fill_diagonal(matrix, 1.0)
+    nothing = Predictive(np.zeros(1), np.zeros(1), np.ones(1), ("reading",), "1")
+    return Fit(
+        Parameters(parameters),
+        np.asarray(x, dtype=float),
+        matrix * np.outer(sd, sd),
+        {},
+        np.array([440.0]),
+        result,
+        nothing,
+        {"source": "here", "count": np.int64(3)},
+        dof,
+    )
+
+
+@pytest.mark.parametrize("level", [0.5, 0.68, 0.95, 0.999])
+def test_quantiles_are_those_of_the_distributions(level):
+    tail = 0.5 + level / 2
+    assert quantile(level) == pytest.approx(norm.ppf(tail), rel=1e-12)
+    for dof in (1.0, 3.0, 18.0, 4000.0):
+        assert quantile(level, dof) == pytest.approx(t.ppf(tail, dof), rel=1e-9)
+    assert quantile(level, 3.0) > quantile(level, 30.0) > quantile(level)
+
+
+def test_intervals_live_where_their_transform_does():
+    one = fit(
+        [
+            Parameter("kd", 0.2),
+            Parameter("tilt", 0.0, 0.1, Identity()),
+            Parameter("share", 0.5, None, Logit(0.0, 1.0)),
+        ],
+        [np.log(0.3), -0.2, 0.0],
+        [0.1, 0.05, 3.0],
+    )
+    reach = 1.959963984540054
+    assert one.interval("kd") == pytest.approx(
+        (0.3 * np.exp(-0.1 * reach), 0.3 * np.exp(0.196)), rel=1e-4
+    )
+    assert one.interval("tilt", 0.68) == pytest.approx((-0.2 - 0.0497, -0.2 + 0.0497), abs=1e-4)
+    low, high = one.interval("share")
+    assert 0 < low < 0.5 < high < 1
+    assert low == pytest.approx(1 - high, rel=1e-9)
+    assert one.value == {
+        "kd": pytest.approx(0.3),
+        "tilt": pytest.approx(-0.2),
+        "share": pytest.approx(0.5),
+    }
+
+
+def test_an_estimated_noise_widens_intervals_by_students_t():
+    known = fit([Parameter("kd", 0.2)], [0.0], [0.1])
+    estimated = fit([Parameter("kd", 0.2)], [0.0], [0.1], dof=3.0)
+    ratio = np.log(estimated.interval("kd")[1]) / np.log(known.interval("kd")[1])
+    assert ratio == pytest.approx(t.ppf(0.975, 3) / norm.ppf(0.975), rel=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("parameter", "sd", "expected"),
+    [
+        (Parameter("cdom", 0.1, 2.3), 0.1, True),
+        (Parameter("cdom", 0.1, 2.3), 0.6, False),  # nobody should quote a factor of 1.8
+        (Parameter("tie", 5.0, 0.3), 0.29, False),  # the prior speaks
+        (Parameter("tie", 5.0, 0.3), 0.1, True),
+        (Parameter("kd", 0.1, None), 0.49, True),
+        (Parameter("kd", 0.1, None), np.inf, False),
+        (Parameter("kd", 0.1, None), np.nan, False),
+        (Parameter("tilt", 0.0, 3.0, Identity()), 0.7, True),
+        (Parameter("tilt", 0.0, 0.7, Identity()), 0.69, False),
+    ],
+)
+def test_identifiable_means_narrow_and_not_from_the_prior(parameter, sd, expected):
+    assert fit([parameter], [0.0], [sd]).identifiable == {parameter.name: expected}
+
+
+def test_correlation_follows_from_the_covariance():
+    one = fit([Parameter("a", 1.0), Parameter("b", 1.0)], [0.0, 0.0], [0.1, 20.0], -0.7)
+    np.testing.assert_allclose(one.correlation, [[1.0, -0.7], [-0.7, 1.0]], rtol=1e-12)
+    assert one.sd == {"a": pytest.approx(0.1), "b": pytest.approx(20.0)}
+
+
+def test_convergence_is_the_result_sentence():
+    assert fit([Parameter("a", 1.0)], [0.0], [0.1]).converged
+    assert not fit([Parameter("a", 1.0)], [0.0], [0.1], result="the step limit ...").converged
+
+
+def test_metadata_is_one_line_of_json():
+    text = fit([Parameter("a", 1.0)], [0.0], [0.1]).metadata_json()
+    assert "\n" not in text
+    assert json.loads(text)["source"] == "here"
+
+
+def test_a_derived_quantity_is_what_samples_of_its_parameters_say():
+    rng = np.random.default_rng(4)
+    cov = np.array([[0.01, -0.006], [-0.006, 0.0064]])
+    x = np.log([0.2, 0.05])
+
+    def total(x):
+        return np.stack([np.exp(x[..., 0]) + np.exp(x[..., 1]), np.exp(x[..., 0])], axis=-1)
+
+    value = total(x)
+    slope = np.array([[0.2, 0.05], [0.2, 0.0]])
+    found = derived_quantity(value, slope, cov, "m-1", "sum")
+    samples = np.log(total(rng.multivariate_normal(x, cov, 200_000)))
+    np.testing.assert_allclose(found.sd, samples.std(axis=0), rtol=0.02)
+    low, high = found.interval(0.95)
+    inside = (samples > np.log(low)) & (samples < np.log(high))
+    np.testing.assert_allclose(inside.mean(axis=0), 0.95, atol=0.005)
+
+
+def test_intervals_of_quantities_are_symmetric_in_the_logarithm():
+    one = Quantity(np.array([0.1, 2.0]), np.array([0.3, 0.0]), "m-1", "x")
+    low, high = one.interval(0.68, dof=5.0)
+    np.testing.assert_allclose(low * high, one.value**2, rtol=1e-12)
+    assert low[1] == high[1] == 2.0
+    np.testing.assert_allclose(np.log(high[0] / 0.1), 0.3 * quantile(0.68, 5.0), rtol=1e-12)
