@@ -32,9 +32,9 @@ def quick_compilation() -> None:
     the older one, to no gain at run time (measured).  Other versions are left alone: an unknown
     flag would end the process.
     """
-    import jaxlib
+    from importlib.metadata import version
 
-    if jaxlib.__version__.startswith("0.10."):
+    if version("jaxlib").startswith("0.10."):
         flags = os.environ.get("XLA_FLAGS", "")
         os.environ["XLA_FLAGS"] = f"{flags} --xla_cpu_use_fusion_emitters=false".strip()
 

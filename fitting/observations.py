@@ -1,6 +1,7 @@
 """What was measured, checked once on the way in."""
 
 import dataclasses
+from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -160,7 +161,7 @@ class Background:
     sigma: np.ndarray
     name: str
 
-    def __init__(self, values, zenith=90.0, sigma=None, name="background"):
+    def __init__(self, values, zenith: Any = 90.0, sigma=None, name="background"):
         values = _array("values", np.atleast_2d(np.asarray(values, dtype=np.float64)), 2)
         zenith = np.broadcast_to(np.asarray(zenith, dtype=np.float64), (len(values),))
         _set_readings(self, values, sigma, zenith, name)
@@ -215,8 +216,8 @@ class Photo:
         depth,
         response=None,
         depth_sd=0.02,
-        solar_zenith=40.0,
-        azimuth=90.0,
+        solar_zenith: Any = 40.0,
+        azimuth: Any = 90.0,
         source="memory",
     ):
         charts, backgrounds = tuple(charts), tuple(backgrounds)

@@ -4,6 +4,7 @@ import abc
 import dataclasses
 import math
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -19,8 +20,8 @@ class AbstractTransform(abc.ABC):
     """A monotonic map from the real line, where the solver works, to the physical range."""
 
     @abc.abstractmethod
-    def physical(self, x):
-        """Physical value of the coordinate x."""
+    def physical(self, x: Any) -> Any:
+        """Physical value of the coordinate x, numpy or JAX."""
 
     @abc.abstractmethod
     def coordinate(self, value: float) -> float:
@@ -31,7 +32,7 @@ class AbstractTransform(abc.ABC):
 class Identity(AbstractTransform):
     """Any real number; a spread is in the parameter's own unit."""
 
-    def physical(self, x):
+    def physical(self, x: Any) -> Any:
         return x
 
     def coordinate(self, value: float) -> float:
@@ -42,7 +43,7 @@ class Identity(AbstractTransform):
 class Log(AbstractTransform):
     """Positive numbers; a spread is of the natural logarithm (0.1 is about 10 %)."""
 
-    def physical(self, x):
+    def physical(self, x: Any) -> Any:
         # Beyond e^+-46 nothing is physical and float32 overflows: the solver may look, not go.
         return jnp.exp(jnp.clip(x, -46.0, 46.0)) if isinstance(x, jax.Array) else np.exp(x)
 
@@ -59,7 +60,7 @@ class Logit(AbstractTransform):
     low: float
     high: float
 
-    def physical(self, x):
+    def physical(self, x: Any) -> Any:
         odds = jax.nn.sigmoid(x) if isinstance(x, jax.Array) else 1.0 / (1.0 + np.exp(-x))
         return self.low + (self.high - self.low) * odds
 

@@ -281,9 +281,9 @@ def fit_photo(
     """
     photos = [photos] if isinstance(photos, Photo) else list(photos)
     transport = oi.TwoStream() if transport is None else transport
-    parameters, readings, sunlight = prepare(photos, transport, priors, matrix, sunlight)
+    parameters, readings, spectrum = prepare(photos, transport, priors, matrix, sunlight)
     optimum, cov, values, slopes = _solve(
-        parameters.layout(), parameters.prior(), readings, transport, sunlight
+        parameters.layout(), parameters.prior(), readings, transport, spectrum
     )
     cov = np.asarray(cov)
     observed = np.concatenate(

@@ -271,7 +271,7 @@ def _predictive(profile, mask, bands, model) -> Predictive:
 
 
 def _unknowns(profile: Profile, bands: BandFit, priors) -> Parameters:
-    known_sun = profile.solar_zenith is not None
+    sun = profile.solar_zenith
     surface = np.exp(np.asarray(bands.optimum.x[:, 0]))
     parameters = Parameters(
         [
@@ -281,8 +281,8 @@ def _unknowns(profile: Profile, bands: BandFit, priors) -> Parameters:
             # than it seems; the spread also stands for the share of sky light.
             Parameter(
                 "solar_zenith",
-                max(profile.solar_zenith, 1.0) if known_sun else 40.0,
-                0.05 if known_sun else 0.4,
+                40.0 if sun is None else max(sun, 1.0),
+                0.4 if sun is None else 0.05,
                 Log(),
                 "degree",
                 True,

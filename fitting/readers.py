@@ -207,7 +207,7 @@ def read_photo(
     return photo, int((~keep).sum())
 
 
-def _given(sheet: Sheet, key: str, value: float | None, default: float | None) -> float | None:
+def _given(sheet: Sheet, key: str, value: float | None, default: float | None):
     """The caller's value, else the header's, else the default."""
     if value is not None or key not in sheet.header:
         return default if value is None else value

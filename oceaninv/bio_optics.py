@@ -113,12 +113,12 @@ class AbstractConstituent(eqx.Module):
         """Scattering coefficient, 1/m."""
 
 
-def _exponential(amount, slope, wavelength, reference):
+def _exponential(amount, slope, wavelength, reference) -> Array:
     distance = jnp.asarray(wavelength - reference, dtype=amount.dtype)
     return amount * jnp.exp(-slope * distance)
 
 
-def _power(amount, exponent, wavelength, reference):
+def _power(amount, exponent, wavelength, reference) -> Array:
     logs = jnp.asarray(np.log(reference / wavelength), dtype=amount.dtype)
     return amount * jnp.exp(exponent * logs)
 
@@ -142,7 +142,7 @@ class Phytoplankton(AbstractConstituent):
     extension: str | None = eqx.field(static=True, default=None)
     name: str = eqx.field(static=True, default="chlorophyll")
 
-    def absorption(self, amount: Float[Array, ""], wavelength: np.ndarray):
+    def absorption(self, amount: Float[Array, ""], wavelength: np.ndarray) -> Array | None:
         if self.extension not in (None, "Sathyendranath1987"):
             raise tables.unknown("extension", self.extension, ["Sathyendranath1987"])
         table = tables.load("Bricaud1998")
@@ -156,10 +156,11 @@ class Phytoplankton(AbstractConstituent):
             scale = scale * beyond / shape.at(inside, "a_phytoplankton")
         dtype = amount.dtype
         power = safe_power(jnp.broadcast_to(amount, wavelength.shape), jnp.asarray(exponent, dtype))
-        return self.absorption_scale * jnp.asarray(scale, dtype) * power
+        return jnp.multiply(self.absorption_scale, jnp.asarray(scale, dtype) * power)
 
-    def scattering(self, amount: Float[Array, ""], wavelength: np.ndarray):
-        at_550 = self.scattering_at_550 * safe_power(amount, jnp.asarray(0.62, amount.dtype))
+    def scattering(self, amount: Float[Array, ""], wavelength: np.ndarray) -> Array | None:
+        power = safe_power(amount, jnp.asarray(0.62, amount.dtype))
+        at_550 = jnp.multiply(self.scattering_at_550, power)
         return _power(at_550, 1.0, wavelength, 550.0)
 
 
@@ -174,10 +175,10 @@ class CDOM(AbstractConstituent):
     phase: AbstractPhase | None = None
     name: str = eqx.field(static=True, default="cdom")
 
-    def absorption(self, amount: Float[Array, ""], wavelength: np.ndarray):
+    def absorption(self, amount: Float[Array, ""], wavelength: np.ndarray) -> Array | None:
         return _exponential(amount, self.slope, wavelength, 440.0)
 
-    def scattering(self, amount: Float[Array, ""], wavelength: np.ndarray):
+    def scattering(self, amount: Float[Array, ""], wavelength: np.ndarray) -> Array | None:
         return None
 
 
@@ -198,11 +199,11 @@ class Detritus(AbstractConstituent):
     phase: AbstractPhase | None = eqx.field(default_factory=lambda: particle_phase(0.018))
     name: str = eqx.field(static=True, default="detritus")
 
-    def absorption(self, amount: Float[Array, ""], wavelength: np.ndarray):
+    def absorption(self, amount: Float[Array, ""], wavelength: np.ndarray) -> Array | None:
         return _exponential(amount, self.slope, wavelength, 400.0)
 
-    def scattering(self, amount: Float[Array, ""], wavelength: np.ndarray):
-        return _power(self.tie * amount, self.exponent, wavelength, 400.0)
+    def scattering(self, amount: Float[Array, ""], wavelength: np.ndarray) -> Array | None:
+        return _power(jnp.multiply(self.tie, amount), self.exponent, wavelength, 400.0)
 
 
 class Minerals(AbstractConstituent):
@@ -220,11 +221,15 @@ class Minerals(AbstractConstituent):
     phase: AbstractPhase | None = eqx.field(default_factory=lambda: particle_phase(0.020))
     name: str = eqx.field(static=True, default="minerals")
 
-    def absorption(self, amount: Float[Array, ""], wavelength: np.ndarray):
-        return _exponential(self.specific_absorption * amount, self.slope, wavelength, 443.0)
+    def absorption(self, amount: Float[Array, ""], wavelength: np.ndarray) -> Array | None:
+        return _exponential(
+            jnp.multiply(self.specific_absorption, amount), self.slope, wavelength, 443.0
+        )
 
-    def scattering(self, amount: Float[Array, ""], wavelength: np.ndarray):
-        return _power(self.specific_scattering * amount, self.exponent, wavelength, 555.0)
+    def scattering(self, amount: Float[Array, ""], wavelength: np.ndarray) -> Array | None:
+        return _power(
+            jnp.multiply(self.specific_scattering, amount), self.exponent, wavelength, 555.0
+        )
 
 
 class TabulatedPhytoplankton(AbstractConstituent):
@@ -234,11 +239,11 @@ class TabulatedPhytoplankton(AbstractConstituent):
     phase: AbstractPhase | None = eqx.field(default_factory=Isotropic)
     name: str = eqx.field(static=True, default="chlorophyll")
 
-    def absorption(self, amount: Float[Array, ""], wavelength: np.ndarray):
+    def absorption(self, amount: Float[Array, ""], wavelength: np.ndarray) -> Array | None:
         specific = tables.load("Gutierrez2008").at(wavelength, "a_phytoplankton")
         return amount * jnp.asarray(specific, amount.dtype)
 
-    def scattering(self, amount: Float[Array, ""], wavelength: np.ndarray):
+    def scattering(self, amount: Float[Array, ""], wavelength: np.ndarray) -> Array | None:
         return Phytoplankton().scattering(amount, wavelength)
 
 
@@ -253,10 +258,10 @@ class TabulatedDetritus(AbstractConstituent):
     phase: AbstractPhase | None = eqx.field(default_factory=lambda: fit_two_term(petzold()))
     name: str = eqx.field(static=True, default="detritus")
 
-    def absorption(self, amount: Float[Array, ""], wavelength: np.ndarray):
+    def absorption(self, amount: Float[Array, ""], wavelength: np.ndarray) -> Array | None:
         return _exponential(amount, 0.011, wavelength, 400.0)
 
-    def scattering(self, amount: Float[Array, ""], wavelength: np.ndarray):
+    def scattering(self, amount: Float[Array, ""], wavelength: np.ndarray) -> Array | None:
         table = tables.load("Gutierrez2008")
         total = table.at(wavelength, "b_detritus") + table.at(wavelength, "b_minerals")
         return amount / 0.1 * jnp.asarray(total, amount.dtype)

@@ -1,7 +1,7 @@
 """Inherent optical properties: what water does to light, independent of the light."""
 
 import equinox as eqx
-import jax
+import jax.core
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float

@@ -3,6 +3,7 @@
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
+from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
 from oceaninv._numerics import gauss_legendre, safe_sqrt
@@ -25,7 +26,7 @@ class Rays(eqx.Module):
     direction: Float[Array, "ray 3"]
     length: Float[Array, " ray"] | None
 
-    def __init__(self, origin, direction, length=np.inf):
+    def __init__(self, origin, direction, length: ArrayLike = np.inf):
         direction = jnp.atleast_2d(jnp.asarray(direction))
         if direction.shape[-1:] != (3,):
             raise ValueError(f"direction must have shape (ray, 3), not {direction.shape}.")

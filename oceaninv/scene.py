@@ -1,7 +1,7 @@
 """A scene: water, light, and what bounds the water.  A term that is None does not exist."""
 
 import equinox as eqx
-import jax
+import jax.core
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float

@@ -23,6 +23,7 @@ from oceaninv._numerics import exp_mean, exp_mean3
 from oceaninv.iops import IOPs
 from oceaninv.optics import Rays, fresnel_from_water, scattering_half_sine
 from oceaninv.scene import Scene
+from oceaninv.transport.base import homogeneous
 
 # A ray without end: far longer than any water is clear, yet its square fits in float32.
 ENDLESS = 1e9
@@ -96,9 +97,11 @@ class Field(eqx.Module):
         )
 
         def grow():
+            assert self.bottom is not None
             return z * exp_mean(k * (self.bottom - z), k * (self.bottom + z))
 
         def slope():
+            assert self.bottom is not None
             return 0.5 * (jnp.exp(-k * (self.bottom - z)) + jnp.exp(-k * (self.bottom + z)))
 
         return self.e(*shared, grow), self.f(*shared, slope)
@@ -170,7 +173,7 @@ def _source_integral(field: Field, scene: Scene, z, rays_down, half_sine):
     softening = -jnp.expm1(-2.0 * half_sine / _AUREOLE)
     c_single = water.c[None, :] - water.forward[None, :] * softening[:, None]
     single = (
-        scene.water.volume_scattering(1.0 - 2.0 * half_sine**2)
+        homogeneous(scene).volume_scattering(1.0 - 2.0 * half_sine**2)
         * field.beam[None, :]
         * length
         * exp_mean(z * c_single / mu0, (end / mu0 + length) * c_single)

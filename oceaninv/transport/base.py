@@ -6,6 +6,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Key
 
+from oceaninv.iops import IOPs
 from oceaninv.optics import Rays
 from oceaninv.scene import Scene
 
@@ -38,6 +39,13 @@ class Irradiance(eqx.Module):
     Ed: Estimate
     Eu: Estimate
     E0: Estimate
+
+
+def homogeneous(scene: Scene) -> IOPs:
+    """The water of a scene that has only one; ValueError for `Layers`."""
+    if not isinstance(scene.water, IOPs):
+        raise ValueError("this closed form solves one homogeneous water, not Layers.")
+    return scene.water
 
 
 class AbstractTransport(eqx.Module):

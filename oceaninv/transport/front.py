@@ -1,6 +1,6 @@
 """The front ends: any transport answers for any scene, after its input has been checked."""
 
-import jax
+import jax.core
 import jax.numpy as jnp
 import numpy as np
 

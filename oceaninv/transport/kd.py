@@ -5,11 +5,17 @@ from jaxtyping import Array, Float, Key
 
 from oceaninv._numerics import exp_moment
 from oceaninv.attenuation import irradiance_reflectance, kd_lee2005
-from oceaninv.iops import IOPs, check_concrete
+from oceaninv.iops import check_concrete
 from oceaninv.optics import Rays, diffuse_reflectance
 from oceaninv.scene import Scene
 from oceaninv.transport._shell import Field, Scaled, Terms, radiance
-from oceaninv.transport.base import AbstractTransport, Estimate, Irradiance, deterministic
+from oceaninv.transport.base import (
+    AbstractTransport,
+    Estimate,
+    Irradiance,
+    deterministic,
+    homogeneous,
+)
 
 
 class KdTransport(AbstractTransport):
@@ -50,18 +56,16 @@ class KdTransport(AbstractTransport):
         surface_down, reflectance, kd = self._surface(scene)
         down = surface_down[None, :] * jnp.exp(-kd[None, :] * depths[:, None])
         up = reflectance[None, :] * down
-        scalar = (kd / scene.water.a)[None, :] * (down - up)
+        scalar = (kd / homogeneous(scene).a)[None, :] * (down - up)
         return Irradiance(deterministic(down), deterministic(up), deterministic(scalar))
 
     def _surface(self, scene: Scene):
         """Ed(0-), R = Eu/Ed and Kd, each (wl,)."""
-        if not isinstance(scene.water, IOPs):
-            raise ValueError("KdTransport needs one homogeneous water; use PlaneParallel.")
         if scene.floor is not None or scene.light.diffuse is not None:
             raise ValueError(
                 "KdTransport knows neither floor nor sky: use TwoStream, or leave them out."
             )
-        water = scene.water
+        water = homogeneous(scene)
         mu0, beam = scene.beam()
         kd = kd_lee2005(water.a, water.bb, scene.light.zenith) if self.kd is None else self.kd
         reflectance = irradiance_reflectance(water.a, water.bb, mu0)
@@ -73,7 +77,8 @@ class KdTransport(AbstractTransport):
 
     def _field(self, scene: Scene) -> Field:
         down, reflectance, kd = self._surface(scene)
-        water = Scaled(scene.water)
+        medium = homogeneous(scene)
+        water = Scaled(medium)
         mu0, beam = scene.beam()
         net = (1.0 - reflectance) * down
         return Field(
@@ -82,7 +87,7 @@ class KdTransport(AbstractTransport):
             k0=water.c_star / mu0,
             mu0=mu0,
             beam=beam,
-            e=Terms(kd / scene.water.a * net, -beam),
+            e=Terms(kd / medium.a * net, -beam),
             f=Terms(net, -mu0 * beam),
             bottom=None,
         )
@@ -107,7 +112,7 @@ def monzon2024(
     """
     k, depth, length = kd[None, :], depth[:, None], length[:, None]
     source = jnp.exp(-k * depth)
-    if reflectance is not None:
+    if reflectance is not None and floor_depth is not None:
         source = source + reflectance[None, :] / jnp.pi * jnp.exp(-k * (2 * floor_depth - depth))
     exponent = (k * down[:, None] - c[None, :]) * length
     # (e^x - 1)/x without its removable singularity, for either sign of x.

@@ -7,11 +7,16 @@ from jaxtyping import Array, Float, Key
 
 from oceaninv._numerics import exp_mean, safe_sqrt
 from oceaninv.attenuation import irradiance_reflectance
-from oceaninv.iops import IOPs
 from oceaninv.optics import Rays, diffuse_reflectance
 from oceaninv.scene import Scene
 from oceaninv.transport._shell import Field, Scaled, Terms, radiance
-from oceaninv.transport.base import AbstractTransport, Estimate, Irradiance, deterministic
+from oceaninv.transport.base import (
+    AbstractTransport,
+    Estimate,
+    Irradiance,
+    deterministic,
+    homogeneous,
+)
 
 _ROOT3 = 3.0**0.5
 
@@ -61,8 +66,8 @@ def _downward(field: Field, depths: Float[Array, " depth"]) -> Float[Array, "dep
 
 
 def _upward(field: Field, scene: Scene, depths, down):
-    assert isinstance(scene.water, IOPs)
-    a, bb = scene.water.a, scene.water.bb
+    water = homogeneous(scene)
+    a, bb = water.a, water.bb
     reflectance = irradiance_reflectance(a, bb, field.mu0)[None, :]
     if scene.floor is None:
         return reflectance * down
@@ -75,12 +80,8 @@ def _upward(field: Field, scene: Scene, depths, down):
 
 def solve(scene: Scene) -> Field:
     """The two-stream field of a scene with one homogeneous water."""
-    if not isinstance(scene.water, IOPs):
-        raise ValueError(
-            "this closed form solves one homogeneous water; use PlaneParallel for Layers."
-        )
-    water = Scaled(scene.water)
-    a = scene.water.a
+    medium = homogeneous(scene)
+    water, a = Scaled(medium), medium.a
     mu0, beam = scene.beam()
     # Transport coefficient a + b (1 - chi_1): positive unless the water is a vacuum.
     spread = jnp.maximum(water.c_star - water.bg_star, float(np.finfo(a.dtype).tiny) ** 0.5)
@@ -135,9 +136,7 @@ def solve(scene: Scene) -> Field:
     )
 
 
-def _over_floor(
-    floor, K, k0, mu0, ratio, spread, beam, mixed, flux_beam, top_e, top_f, entering
-):
+def _over_floor(floor, K, k0, mu0, ratio, spread, beam, mixed, flux_beam, top_e, top_f, entering):
     """Amplitudes of what decays from the surface and of what grows to the floor.
 
     The second is regular where K = 0, unlike the exponential e^(-K (T - z)) alone."""
