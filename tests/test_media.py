@@ -82,7 +82,7 @@ def test_error_of_the_mixture_of_shapes(north_sea):
 
 @pytest.mark.slow
 def test_lobe_fits_keep_the_mean_cosine(north_sea, water_iops):
-    """Two and three Henyey-Greenstein lobes per shape: same g, p within a factor of 4 over 5-175 deg."""
+    """Two and three Henyey-Greenstein lobes: same g, p within a factor of 4 over 5-175 degrees."""
     table = water_iops.phases[-1]
     cosine = jnp.cos(jnp.radians(jnp.linspace(5.0, 175.0, 35)))
     misfit = {}

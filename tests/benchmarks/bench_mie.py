@@ -44,7 +44,7 @@ def five_derivatives():
     def run(*point):
         value, push = jax.linearize(outputs, *point)
         zeros = [np.zeros((16, 1000))] * 5
-        slopes = [push(*(zeros[:i] + [ones] + zeros[i + 1 :])) for i in range(5)]
+        slopes = [push(*zeros[:i], ones, *zeros[i + 1 :]) for i in range(5)]
         return value, slopes
 
     point = (ones * RADIUS, ones * 1.58, ones * 1e-4, ones * 1.34, ones * 1e-8)
@@ -90,7 +90,8 @@ def speed():
         print(f"{name:36s}{first[name]:9.2f}{best[name]:9.4f}{best[name] / base:12.3f}")
     real, absorbing, slopes = (best[k] for k in list(best)[-3:])
     print(
-        f"absorbing / real host {absorbing / real:.2f}; derivatives / value {slopes / absorbing:.2f}"
+        f"absorbing / real host {absorbing / real:.2f}; "
+        f"derivatives / value {slopes / absorbing:.2f}"
     )
 
 
