@@ -37,7 +37,8 @@ class TwoStream(AbstractTransport):
       derivative in a is infinite at a = 0; it is finite here.
 
     Upward irradiance does not come from the two-stream field (it would be a third too bright)
-    but from a fit of R = Eu/Ed plus the light that the floor sends up.
+    but from a fit of R = Eu/Ed plus the light that the floor sends up; downward irradiance leans
+    on both.
     """
 
     def radiance(self, scene: Scene, rays: Rays, key: Key[Array, ""] | None = None) -> Estimate:
@@ -54,9 +55,10 @@ class TwoStream(AbstractTransport):
     ) -> Irradiance:
         """See `oceaninv.irradiance`."""
         field = solve(scene)
-        down = _downward(field, depths)
-        scalar = field.moments(depths)[0] + field.direct(depths)
-        up = _upward(field, scene, depths, down)
+        e, f = field.moments(depths)
+        beam = field.direct(depths)
+        down, up = _plane(field, scene, depths, e, f + field.mu0 * beam)
+        scalar = e + beam
         return Irradiance(deterministic(down), deterministic(up), deterministic(scalar))
 
 
@@ -65,17 +67,30 @@ def _downward(field: Field, depths: Float[Array, " depth"]) -> Float[Array, "dep
     return 0.5 * (e / _ROOT3 + f) + field.mu0 * field.direct(depths)
 
 
-def _upward(field: Field, scene: Scene, depths, down):
+def _plane(field: Field, scene: Scene, depths, e, net):
+    """Ed and Eu, (depth, wl), from the diffuse scalar and the net downward irradiance."""
     water = homogeneous(scene)
     a, bb = water.a, water.bb
-    reflectance = irradiance_reflectance(a, bb, field.mu0)[None, :]
-    if scene.floor is None:
-        return reflectance * down
-    # The water between here and the floor shows less than endless water; the floor shows through.
-    floor = scene.floor
-    at_floor = _downward(field, floor.depth[None])
-    back = jnp.exp(-(a + bb)[None, :] / 0.5 * (floor.depth - depths)[:, None])
-    return reflectance * (down - at_floor * back) + floor.reflectance[None, :] * at_floor * back
+    sun = field.mu0 * field.direct(depths)
+    own = 0.5 * (e / _ROOT3 + net + sun)
+    # R depends on how steeply light comes down: from the sun's cosine to a diffuse field's 0.7.
+    lit = own > 0
+    share = 1.0 - sun / jnp.where(lit, own, 1.0)
+    cosine = jnp.maximum(field.mu0 + share * (0.7 - field.mu0), 0.4)
+    reflectance = irradiance_reflectance(a, bb, 1.0)[None, :] / cosine**1.314
+    floor_light = jnp.zeros_like(net)
+    if scene.floor is not None:
+        # The water between here and the floor shows less than endless water would; the floor
+        # shows through.
+        floor = scene.floor
+        at_floor = _downward(field, floor.depth[None])
+        back = jnp.exp(-(a + bb)[None, :] / 0.5 * (floor.depth - depths)[:, None])
+        floor_light = (floor.reflectance[None, :] - reflectance) * at_floor * back
+    # The net flux is the two-stream's best number and its Eu the worst: Ed = net + Eu with Eu of
+    # the fit errs low where the two-stream's own Ed errs high.
+    balanced = (net + floor_light) / (1.0 - reflectance)
+    down = 0.8 * balanced + 0.2 * own
+    return down, reflectance * down + floor_light
 
 
 def solve(scene: Scene) -> Field:
