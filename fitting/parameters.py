@@ -168,19 +168,25 @@ def shape_nuisances() -> tuple[Parameter, ...]:
     """What the default bio-optical model fixes but nature varies, with the spread of nature.
 
     - `tie`: detritus scattering per absorption at 400 nm: 5 within a factor of 2.
-    - `cdom_slope`, `detritus_slope`: /nm; spreads as in Babin et al. 2003.
-    - `detritus_exponent`: spectral slope of detritus scattering.
+    - `cdom_slope`, `detritus_slope`: /nm; centred as in Babin et al. 2003, spread so as to hold
+      other seas and spectral ranges: 0.010-0.025 for CDOM (Bricaud et al. 1981; Roesler et al.
+      1989; Twardowski et al. 2004), 0.009-0.016 for detritus.
+    - `detritus_exponent`: spectral slope of non-algal scattering, between that of minerals (0.3,
+      Babin et al. 2003) and of organic detritus (0.9, Stramski et al. 2001).
+    - `phytoplankton_exponent`: spectral slope of algal scattering, between 1 (Gordon & Morel 1983)
+      and 0 (Morel & Maritorena 2001, above 2 mg/m3).
     - `phytoplankton_absorption`, `phytoplankton_scattering`: factors on the specific values.
     - `backscatter`: factor on the backscatter ratio of all particles.
     """
     return (
         Parameter("tie", 5.0, math.log(2.0), nuisance=True),
-        Parameter("cdom_slope", 0.0176, 0.15, unit="nm-1", nuisance=True),
-        Parameter("detritus_slope", 0.0123, 0.12, unit="nm-1", nuisance=True),
-        Parameter("detritus_exponent", 0.9, 0.4, Identity(), nuisance=True),
-        Parameter("phytoplankton_absorption", 1.0, 0.3, nuisance=True),
-        Parameter("phytoplankton_scattering", 1.0, 0.4, nuisance=True),
-        Parameter("backscatter", 1.0, 0.3, nuisance=True),
+        Parameter("cdom_slope", 0.0176, 0.25, unit="nm-1", nuisance=True),
+        Parameter("detritus_slope", 0.0123, 0.15, unit="nm-1", nuisance=True),
+        Parameter("detritus_exponent", 0.6, 0.5, Identity(), nuisance=True),
+        Parameter("phytoplankton_exponent", 0.5, 0.5, Identity(), nuisance=True),
+        Parameter("phytoplankton_absorption", 1.0, 0.4, nuisance=True),
+        Parameter("phytoplankton_scattering", 1.0, 0.5, nuisance=True),
+        Parameter("backscatter", 1.0, 0.5, nuisance=True),
     )
 
 
@@ -200,6 +206,7 @@ def water_iops(values: Mapping[str, Float[Array, ""]], wavelength: np.ndarray):
             Phytoplankton(
                 absorption_scale=get("phytoplankton_absorption", 1.0),
                 scattering_at_550=0.30 * get("phytoplankton_scattering", 1.0),
+                exponent=get("phytoplankton_exponent", 1.0),
                 phase=particle_phase(0.010 * factor),
                 extension="Sathyendranath1987" if outside else None,
             ),

@@ -131,6 +131,8 @@ class Phytoplankton(AbstractConstituent):
 
     - `absorption_scale`: multiplies the absorption (species and packaging vary it by about 1.5).
     - `scattering_at_550`: scattering coefficient at 550 nm for C = 1, 1/m.
+    - `exponent`: scattering falls as wl^-exponent; 1 in Gordon & Morel 1983, from 1 in clear water
+      to 0 above 2 mg/m3 in Morel & Maritorena 2001.
     - `extension`: `None` raises ValueError outside 400-700 nm; "Sathyendranath1987" continues
       with the shape of Sathyendranath, Lazzara & Prieur 1987 (380-780 nm), uncertain by about
       30 % below 400 nm, where mycosporine-like pigments are not modelled.
@@ -138,6 +140,7 @@ class Phytoplankton(AbstractConstituent):
 
     absorption_scale: ScalarLike = 1.0
     scattering_at_550: ScalarLike = 0.30
+    exponent: ScalarLike = 1.0
     phase: AbstractPhase | None = eqx.field(default_factory=lambda: particle_phase(0.010))
     extension: str | None = eqx.field(static=True, default=None)
     name: str = eqx.field(static=True, default="chlorophyll")
@@ -161,7 +164,7 @@ class Phytoplankton(AbstractConstituent):
     def scattering(self, amount: Float[Array, ""], wavelength: np.ndarray) -> Array | None:
         power = safe_power(amount, jnp.asarray(0.62, amount.dtype))
         at_550 = jnp.multiply(self.scattering_at_550, power)
-        return _power(at_550, 1.0, wavelength, 550.0)
+        return _power(at_550, self.exponent, wavelength, 550.0)
 
 
 class CDOM(AbstractConstituent):

@@ -26,6 +26,7 @@ from scipy.stats import binom
 
 import oceaninv as oi
 from fitting import Background, Chart, Photo
+from fitting.parameters import Prior
 from fitting.photo import WAVELENGTH, photo_residual, predict, prepare
 from fitting.posterior import quantile
 from fitting.quantities import water_quantities
@@ -71,7 +72,7 @@ def scalars(values):
 def programs():
     """Batched (predict and quantities, fit, slopes of the quantities), compiled once each."""
     parameters, (readings,), sunlight = problem()
-    layout, prior = parameters.layout(), parameters.prior()
+    layout = parameters.layout()
     transport = oi.TwoStream()
 
     def quantities(x):
@@ -80,7 +81,7 @@ def programs():
     def forward(x):
         return predict(layout.values(x), readings, transport, sunlight), quantities(x)
 
-    def fit(seen, centre, start):
+    def fit(seen, start, centre, weight, scale):
         """Optimum, code, covariance and reduced chi2, with the default 1 % of each reading."""
         mask = seen > 0
         here = eqx.tree_at(
@@ -88,10 +89,9 @@ def programs():
             readings,
             (jnp.where(mask, seen, 1.0), jnp.where(mask, NOISE * seen, 1.0), mask),
         )
-        # The priors' centres follow the frame: its sun.
-        own = eqx.tree_at(lambda p: p.centre, prior, centre)
-        residual = photo_residual(layout, (here,), transport, sunlight, own)
-        optimum = least_squares(residual, start, (here.values,), prior.scale)
+        prior = Prior(centre, weight, scale)
+        residual = photo_residual(layout, (here,), transport, sunlight, prior)
+        optimum = least_squares(residual, start, (here.values,), scale)
         chi2 = jnp.sum(optimum.residual**2) / seen.size
         return optimum.x, optimum.code, covariance(optimum.jacobian), chi2
 
@@ -111,17 +111,24 @@ def by_chunks(program, *arrays):
     return tuple(np.concatenate(parts) for parts in zip(*chunks, strict=True))
 
 
-def fit_all(seen, suns):
-    """Fits of (draw, reading, channel): x, code, covariance, chi2, ln quantities and slopes."""
-    parameters = problem()[0]
+def fit_all(seen, suns, changes=None):
+    """Fits of (draw, reading, channel): x, code, covariance, chi2, ln quantities and slopes.
+
+    `changes`: priors to exchange by name, as in `fit_photo`.
+    """
+    parameters = problem()[0].replace(changes or {})
+    prior = parameters.prior()
     forward, fit, slopes = programs()
-    centre = np.tile(np.asarray(parameters.prior().centre), (len(seen), 1))
+    centre, weight, scale = (
+        np.tile(np.asarray(v), (len(seen), 1)) for v in (prior.centre, prior.weight, prior.scale)
+    )
+    # The prior of the sun is the frame's.
     centre[:, parameters.names.index("solar_zenith")] = np.log(suns)
     at_centre = by_chunks(forward, centre)[0]
     gains = [parameters.names.index(f"gain_0_{c}") for c in "RGB"]
     start = centre.copy()
     start[:, gains] += np.log(np.median(seen / at_centre, axis=1))
-    found = by_chunks(fit, seen, centre, start)
+    found = by_chunks(fit, seen, start, centre, weight, scale)
     return (*found, *by_chunks(slopes, found[0]))
 
 
@@ -241,10 +248,10 @@ def photographs(repeats: int, seed: int = 5):
 TRUE = ("Kd_490", "c_550", "a_cdm_440", "chlorophyll")
 
 
-def mismatched(repeats: int = 5):
+def mismatched(repeats: int = 5, changes=None):
     """Errors (ln) and reported sd, each (draw, TRUE); codes, reduced chi2, waters, optima."""
     seen, suns, true, waters = photographs(repeats)
-    x, code, cov, chi2, logs, slope = fit_all(seen, suns)
+    x, code, cov, chi2, logs, slope = fit_all(seen, suns, changes)
     variance = np.einsum("dqi,dij,dqj->dq", slope, cov, slope)
     i = problem()[0].names.index("chlorophyll")
     found = np.column_stack([logs[:, :3], x[:, i]])
@@ -252,8 +259,8 @@ def mismatched(repeats: int = 5):
     return found - true, sd, code, chi2, waters, x
 
 
-def mismatched_table(repeats: int = 5) -> str:
-    error, sd, code, chi2, waters, _ = mismatched(repeats)
+def mismatched_table(repeats: int = 5, changes=None) -> str:
+    error, sd, code, chi2, waters, _ = mismatched(repeats, changes)
     lines = [
         "# Photo fit, truth of another model\n",
         f"`python -m tests.acceptance.photo_statistics mismatched`: {len(waters)} waters x "

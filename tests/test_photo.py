@@ -1,0 +1,222 @@
+"""Photographs: checks on the way in, fits that return the truth, what leans on what."""
+
+import functools
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import oceaninv as oi
+from fitting import Background, Chart, Parameter, Photo, fit_photo
+from fitting.photo import WAVELENGTH, photo_residual, predict, prepare
+from fitting.solve import cross_check
+
+GREY = np.array([0.9, 0.5, 0.2, 0.08])
+TRUTH = {"chlorophyll": 1.5, "cdom": 0.15, "detritus": 0.08}
+CAMERA = "Nikon D850"
+
+
+def photo(values=None, sigma=0.01, **changes):
+    """Four grey patches at two ranges and open water; readings of 1 unless given (reading, 3)."""
+    values = np.ones((9, 3)) if values is None else values
+    arguments = {"depth": 5.0, "response": oi.spectrum.camera_response(CAMERA)} | changes
+    charts = [
+        Chart(values[4 * k : 4 * k + 4], GREY, r, sigma * np.abs(values[4 * k : 4 * k + 4]))
+        for k, r in enumerate((1.0, 3.0))
+    ]
+    return Photo(charts, [Background(values[8:], sigma=sigma * np.abs(values[8:]))], **arguments)
+
+
+def water(wavelength):
+    """The true water: the default model with the spectral slopes that fits start from."""
+    model = oi.BioOpticalModel(
+        (
+            oi.bio_optics.Phytoplankton(exponent=0.5),
+            oi.bio_optics.CDOM(),
+            oi.bio_optics.Detritus(exponent=0.6),
+        )
+    )
+    return model.iops(oi.Constituents(**TRUTH), wavelength)
+
+
+@functools.cache
+def clean():
+    """Noise-free readings at the truth: nuisances at their centres, gains and lights arbitrary."""
+    parameters, (readings,), sunlight = prepare([photo()], oi.TwoStream())
+    values = {p.name: jnp.asarray(p.centre) for p in parameters}
+    values |= {name: jnp.asarray(v) for name, v in TRUTH.items()}
+    values |= {"chart_0_0": jnp.asarray(1.3), "chart_0_1": jnp.asarray(0.6)}
+    values |= {f"gain_0_{c}": jnp.asarray(g) for c, g in zip("RGB", (0.4, 0.2, 0.3), strict=True)}
+    return np.asarray(predict(values, readings, oi.TwoStream(), sunlight))
+
+
+@functools.cache
+def fitted():
+    return fit_photo(photo(clean()))
+
+
+@pytest.mark.parametrize(
+    ("make", "words"),
+    [
+        (lambda: Chart(np.ones((3, 3)), [0.1, 0.2], 1.0), r"one row per patch \(3\)"),
+        (lambda: Chart(np.ones((2, 3)), [0.1, 1.7], 1.0), "must lie between 0 and 1.5"),
+        (lambda: Chart(np.ones((2, 3)), [0.1, np.nan], 1.0), "must lie between 0 and 1.5"),
+        (lambda: Chart(np.ones((2, 3)), [0.1, 0.2], 0.0), "distance of chart 'chart' must be posi"),
+        (lambda: Chart(np.ones((2, 3)), [0.1, 0.2], np.nan, name="far"), "distance of chart 'far'"),
+        (lambda: Chart(np.ones(3), [0.1, 0.2, 0.3], 1.0), "values must have 2 dimension"),
+        (lambda: Chart(np.ones((2, 3)), [0.1, 0.2], 1.0, np.ones((2, 2))), "sigma of 'chart'"),
+        (lambda: Chart(np.ones((2, 3)), [0.1, 0.2], 1.0, zenith=181.0), "between 0 and 180"),
+        (lambda: Background(np.ones((2, 3)), zenith=-1.0), "zenith of 'background'"),
+        (lambda: Photo([], [Background(np.ones((1, 4)))], depth=5.0), "has 4 channels"),
+        (lambda: photo(depth=0.0), "depth must be positive metres, not 0"),
+        (lambda: photo(solar_zenith=95.0), r"solar_zenith must lie in \[0, 90\) degrees, not 95"),
+        (lambda: Photo(depth=5.0), "0 of 0 readings are usable"),
+        (lambda: photo(np.full((9, 3), np.nan)), "0 of 27 readings are usable"),
+        (lambda: photo(-np.ones((9, 3))), "0 of 27 readings are usable"),
+    ],
+)
+def test_bad_input_is_a_sentence(make, words):
+    with pytest.raises(ValueError, match=words):
+        make()
+
+
+def test_a_channel_without_readings_is_named():
+    values = np.ones((9, 3))
+    values[:, 2] = np.nan
+    with pytest.raises(ValueError, match="photograph 0 has no usable reading in channel B"):
+        fit_photo(photo(values))
+
+
+def test_reflectances_must_be_on_the_fits_wavelengths():
+    chart = Chart(np.ones((2, 3)), np.full((2, 7), 0.5), 1.0, name="card")
+    with pytest.raises(ValueError, match="chart 'card' must be given at the 16 wavelengths"):
+        fit_photo(Photo([chart], depth=5.0))
+
+
+def test_unknown_names_are_answered_with_near_ones():
+    with pytest.raises(ValueError, match=r"Nikon D85.*Nikon D850"):
+        oi.spectrum.camera_response("Nikon D85")
+    with pytest.raises(ValueError, match=r"'backscater'.*backscatter"):
+        fit_photo(photo(clean()), priors={"backscater": Parameter("backscater", 1.0, 0.1)})
+
+
+def test_predicted_values_are_those_of_the_forward_chain():
+    # By the public front ends, written out, against `predict`.
+    model = water(WAVELENGTH)
+    sun = jnp.asarray(oi.spectrum.daylight(WAVELENGTH))
+    scene = oi.Scene(model, oi.Light(40.0, sun), oi.FlatSurface())
+    # Just above the horizon, as cos(90 degrees) is in floating point.
+    across = np.array([[0.0, 1.0, -6e-17]])
+    weights = np.asarray(oi.spectrum.camera_response(CAMERA).weights(WAVELENGTH))
+    lit = np.asarray(oi.irradiance(scene, [5.0]).Ed.value)[0]
+    rows = []
+    for r, light in ((1.0, 1.3), (3.0, 0.6)):
+        ray = oi.Rays(np.array([0.0, 0.0, 5.0]), across, np.array([r]))
+        veil = np.asarray(oi.radiance(scene, ray).value)[0]
+        arriving = light * lit / np.pi * np.exp(-np.asarray(model.c) * r)
+        rows += [rho * arriving + veil for rho in GREY]
+    endless = oi.Rays(np.array([0.0, 0.0, 5.0]), across)
+    rows.append(np.asarray(oi.radiance(scene, endless).value)[0])
+    expected = np.stack(rows) @ weights.T * np.array([0.4, 0.2, 0.3])
+    np.testing.assert_allclose(clean(), expected, rtol=1e-6)
+
+
+def test_noise_free_readings_return_the_truth():
+    fit = fitted()
+    assert fit.converged
+    # The weak priors of the constituents pull by a small part of the uncertainty.
+    for name, value in TRUTH.items():
+        pull = abs(np.log(fit.value[name] / value)) / fit.sd[name]
+        assert pull < 0.35, name
+    exact = water(np.array([440.0, 550.0]))
+    c_550 = fit.quantities["c_550"]
+    assert abs(np.log(float(c_550.value) / float(exact.c[1]))) < 0.2 * float(c_550.sd)
+    assert float(c_550.sd) < 0.06
+    cdm = float(exact.a_components[2, 0] + exact.a_components[3, 0])
+    low, high = fit.quantities["a_cdm_440"].interval()
+    assert low < cdm < high
+    misfit = fit.posterior_predictive
+    assert np.nanmax(np.abs(misfit.observed / misfit.predicted - 1)) < 2e-3
+
+
+def test_a_photograph_does_not_claim_what_it_cannot_see():
+    flags = fitted().identifiable
+    # CDOM and detritus differ by the tie alone, which only its prior knows.
+    assert not flags["detritus"]
+    assert not flags["tie"]
+    assert not flags["cdom_slope"]
+    assert flags["gain_0_G"] == (fitted().sd["gain_0_G"] <= 0.5)
+
+
+def test_exposure_and_white_balance_do_not_matter():
+    other = fit_photo(photo(clean() * np.array([300.0, 0.02, 5.0])))
+    for name in ("c_550", "Kd_490", "a_cdm_440"):
+        ours, theirs = fitted().quantities[name], other.quantities[name]
+        assert abs(np.log(theirs.value / ours.value)) < 1e-3 * ours.sd
+        assert theirs.sd == pytest.approx(ours.sd, rel=1e-3)
+
+
+def test_clipped_or_missing_readings_are_masked_and_counted():
+    values = clean().copy()
+    values[2, 1], values[5, 0], values[6, 2] = np.nan, 0.0, -1.0
+    frame = photo(values)
+    assert frame.masked == 3
+    fit = fit_photo(frame)
+    assert fit.metadata["masked_values"] == 3
+    assert fit.metadata["readings"] == 24
+    assert np.isnan(fit.posterior_predictive.observed[2, 1])
+    ours = fitted().quantities["c_550"]
+    assert abs(np.log(fit.quantities["c_550"].value / ours.value)) < 0.1 * ours.sd
+
+
+def test_a_known_constituent_sharpens_the_rest():
+    known = {"cdom": Parameter("cdom", TRUTH["cdom"], 0.02, unit="m-1")}
+    fit = fit_photo(photo(clean()), priors=known)
+    assert fit.sd["cdom"] < 0.021
+    assert fit.value["cdom"] == pytest.approx(TRUTH["cdom"], rel=0.02)
+    for name in ("a_cdm_440", "Kd_490"):
+        assert fit.quantities[name].sd < fitted().quantities[name].sd
+
+
+@pytest.mark.parametrize("nuisance", ["tie", "veil_R", "veil_B"])
+def test_the_sensitivity_table_is_what_moving_a_prior_does(nuisance):
+    fit = fitted()
+    old = next(p for p in fit.parameters if p.name == nuisance)
+    # A tenth of a spread up and down: small enough to be linear.
+    moved = []
+    for share in (0.1, -0.1):
+        centre = float(
+            old.transform.physical(old.transform.coordinate(old.centre) + share * old.spread)
+        )
+        new = Parameter(nuisance, centre, old.spread, old.transform, old.unit, True)
+        moved.append(fit_photo(photo(clean()), priors={nuisance: new}))
+    for name in ("Kd_490", "c_550", "a_cdm_440"):
+        up, down = (np.log(float(m.quantities[name].value)) for m in moved)
+        said = fit.sensitivity[name][nuisance]
+        assert (up - down) / 0.2 == pytest.approx(said, rel=0.1, abs=0.06 * fit.quantities[name].sd)
+    for name in ("chlorophyll", "cdom", "detritus"):
+        up, down = (np.log(m.value[name]) for m in moved)
+        said = fit.sensitivity[name][nuisance]
+        assert (up - down) / 0.2 == pytest.approx(said, rel=0.1, abs=0.06 * fit.sd[name])
+
+
+@pytest.mark.slow
+def test_another_library_reaches_the_same_optimum():
+    noise = np.random.default_rng(0).standard_normal((9, 3))
+    frame = photo(clean() * (1 + 0.01 * noise))
+    fit = fit_photo(frame)
+    parameters, readings, sunlight = prepare([frame], oi.TwoStream())
+    residual = photo_residual(parameters, readings, oi.TwoStream(), sunlight)
+    other = cross_check(
+        residual, parameters.prior().centre, tuple(r.values for r in readings), rounds=6
+    )
+    sd = np.sqrt(np.diag(fit.covariance))
+    assert np.max(np.abs(np.asarray(other) - fit.x) / sd) < 1e-3
+    assert np.max(np.abs(np.asarray(other) - fit.x)) < 1e-3
+
+
+def test_fitting_touches_no_configuration():
+    before = jax.config.values.copy()
+    fit_photo(photo(clean()))
+    assert jax.config.values == before
