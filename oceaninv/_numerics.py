@@ -8,6 +8,8 @@ import numpy as np
 from jaxtyping import Array, Float
 
 _TERMS = 13
+# Spread of three arguments below which their divided difference is a series.
+_NEAR = 0.25
 
 
 @functools.partial(jax.custom_jvp, nondiff_argnums=(0,))
@@ -40,19 +42,31 @@ def _exp_moment_jvp(n, primals, tangents):
     return exp_moment(n, x), -exp_moment(n + 1, x) * dx
 
 
-def _ordered(a, b):
-    """(smaller, larger), each with the whole derivative of one argument also at a tie, where
-    min, max and abs split or sign it so that the symmetric function's slope comes out wrong."""
-    swapped = b < a
-    return jnp.where(swapped, b, a), jnp.where(swapped, a, b)
-
-
+@jax.custom_jvp
 def exp_mean(a: Float[Array, "..."], b: Float[Array, "..."]) -> Float[Array, "..."]:
     """Mean of e^-u for u between a and b: (e^-a - e^-b)/(b - a), and e^-a where a = b."""
-    low, high = _ordered(a, b)
-    return jnp.exp(-low) * exp_moment(0, high - low)
+    return jnp.exp(-jnp.minimum(a, b)) * exp_moment(0, jnp.abs(b - a))
 
 
+@exp_mean.defjvp
+def _exp_mean_jvp(primals, tangents):
+    # The slope belongs to the smaller or the larger argument, not to a branch that a compiler may
+    # round differently in two places: at a tie both slopes are equal, so that no choice is wrong.
+    (a, b), (da, db) = primals, tangents
+    ordered = a <= b
+    value, of_low, of_high = _mean_and_slopes(jnp.where(ordered, a, b), jnp.where(ordered, b, a))
+    slope = jnp.where(ordered, of_low, of_high) * da + jnp.where(ordered, of_high, of_low) * db
+    return value, slope
+
+
+def _mean_and_slopes(low, high):
+    """exp_mean of ordered arguments, its slope in the lower and in the higher one."""
+    envelope, x = jnp.exp(-low), high - low
+    whole, first = exp_moment(0, x), exp_moment(1, x)
+    return envelope * whole, -envelope * (whole - first), -envelope * first
+
+
+@jax.custom_jvp
 def exp_mean3(
     a: Float[Array, "..."], b: Float[Array, "..."], c: Float[Array, "..."]
 ) -> Float[Array, "..."]:
@@ -61,25 +75,62 @@ def exp_mean3(
     This is the second divided difference of e^-u: symmetric in its arguments and 1/2 e^-a where
     all three are equal.
     """
-    low, high = _ordered(a, b)
-    middle, high = _ordered(high, c)
-    low, middle = _ordered(low, middle)
+    low, middle, high = _ordered(a, b, c)
     spread = high - low
-    near = spread < 0.25
+    near = spread < _NEAR
     apart = (exp_mean(low, middle) - exp_mean(middle, high)) / jnp.where(near, 1.0, spread)
-    # e^-low sum_n (-1)^n h_n(0, p, q)/(n+2)!, h_n the complete homogeneous polynomial.
-    p = jnp.where(near, middle - low, 0.0)
-    q = jnp.where(near, spread, 0.0)
-    powers = jnp.ones_like(p)
-    homogeneous = jnp.ones_like(p)
-    total = jnp.full_like(p, 0.5)
+    series = _near_series(jnp.where(near, middle - low, 0.0), jnp.where(near, spread, 0.0))
+    return jnp.where(near, jnp.exp(-low) * series[0], apart)
+
+
+@exp_mean3.defjvp
+def _exp_mean3_jvp(primals, tangents):
+    low, middle, high = _ordered(*primals)
+    spread = high - low
+    near = spread < _NEAR
+    lower, lower_low, lower_middle = _mean_and_slopes(low, middle)
+    upper, upper_middle, upper_high = _mean_and_slopes(middle, high)
+    wide = jnp.where(near, 1.0, spread)
+    apart = (lower - upper) / wide
+    envelope = jnp.exp(-low)
+    series, in_p, in_q = _near_series(
+        jnp.where(near, middle - low, 0.0), jnp.where(near, spread, 0.0)
+    )
+    value = jnp.where(near, envelope * series, apart)
+    of_low = jnp.where(near, -envelope * (series + in_p + in_q), (lower_low + apart) / wide)
+    of_middle = jnp.where(near, envelope * in_p, (lower_middle - upper_middle) / wide)
+    of_high = jnp.where(near, envelope * in_q, -(upper_high + apart) / wide)
+    slope = jnp.zeros_like(low)
+    for x, dx in zip(primals, tangents, strict=True):
+        rank = jnp.where(x <= low, of_low, jnp.where(x >= high, of_high, of_middle))
+        slope = slope + rank * dx
+    return value, slope
+
+
+def _ordered(a, b, c):
+    low = jnp.minimum(jnp.minimum(a, b), c)
+    high = jnp.maximum(jnp.maximum(a, b), c)
+    return low, jnp.maximum(jnp.minimum(a, b), jnp.minimum(jnp.maximum(a, b), c)), high
+
+
+def _near_series(p, q):
+    """sum_n (-1)^n h_n(0, p, q)/(n+2)!, h_n the complete homogeneous polynomial, and its slopes."""
+    one, none = jnp.ones_like(p), jnp.zeros_like(p)
+    powers, power_slope = one, none
+    terms, in_p, in_q = one, none, none
     factor = 0.5
-    for n in range(1, 13):
+    total, total_p, total_q = 0.5 * one, none, none
+    for n in range(1, _TERMS):
+        power_slope = power_slope * q + powers
         powers = powers * q
-        homogeneous = homogeneous * p + powers
+        in_p = in_p * p + terms
+        in_q = in_q * p + power_slope
+        terms = terms * p + powers
         factor = -factor / (n + 2)
-        total = total + factor * homogeneous
-    return jnp.where(near, jnp.exp(-low) * total, apart)
+        total = total + factor * terms
+        total_p = total_p + factor * in_p
+        total_q = total_q + factor * in_q
+    return total, total_p, total_q
 
 
 def safe_sqrt(x: Float[Array, "..."]) -> Float[Array, "..."]:

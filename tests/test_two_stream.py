@@ -285,10 +285,10 @@ def _exact():
     return found
 
 
-@functools.partial(jax.jit, static_argnames=("surface", "floor", "name"))
-def _case(a, b, sun, depths, surface, floor, name):
+@functools.partial(jax.jit, static_argnames=("surface", "floor"))
+def _case(a, b, sun, depths, surface, floor, phase):
     one = jnp.ones(1)
-    water = oi.IOPs([550.0], a[None], b[None], accuracy.phase(name))
+    water = oi.IOPs([550.0], a[None], b[None], phase)
     scene = oi.Scene(
         water,
         oi.Light(sun, one),
@@ -311,7 +311,13 @@ def _errors():
     for (name, sun, surface, floor, i), exact in _exact().items():
         depths = jnp.asarray(exact["levels"])
         value, Ed, Eu = _case(
-            jnp.asarray(a[i]), jnp.asarray(b[i]), jnp.asarray(sun), depths, surface, floor, name
+            jnp.asarray(a[i]),
+            jnp.asarray(b[i]),
+            jnp.asarray(sun),
+            depths,
+            surface,
+            floor,
+            accuracy.phase(name),
         )
         outside = accuracy.scattering_angles(sun, surface) >= 20.0
         error = np.asarray(value).reshape(len(accuracy.DEPTHS), -1)
