@@ -131,7 +131,7 @@ def cross_check(
     reach: float = 1e3,
     rounds: int = 3,
 ) -> Float[Array, " unknown"]:
-    """The same optimum by another road: jaxopt's bound-constrained L-BFGS, tolerance 1e-8.
+    """The same optimum by another road: jaxopt's bound-constrained L-BFGS (SciPy's).
 
     Works in coordinates in which the problem, linearised where a round starts, is round (one unit
     is one standard deviation), inside a box of +- `reach` units; curved valleys need some rounds.
@@ -144,22 +144,28 @@ def cross_check(
         warnings.simplefilter("ignore", DeprecationWarning)
         import jaxopt
 
+    @jax.jit
     def objective(u, centre, axes):
-        r = residual(centre + axes @ u, args)
-        return 0.5 * jnp.sum(r * r)
+        def half_square(u):
+            r = residual(centre + axes @ u, args)
+            return 0.5 * jnp.sum(r * r)
 
-    solver = jaxopt.LBFGSB(fun=objective, tol=1e-8, maxiter=500)
-    zero = jnp.zeros_like(start)
+        return jax.value_and_grad(half_square)(u)
 
     @jax.jit
-    def improve(x):
+    def round_axes(x):
         slope = value_and_jacobian(lambda x: residual(x, args), x)[1]
-        axes = jnp.linalg.cholesky(covariance(slope))
-        return x + axes @ solver.run(zero, (zero - reach, zero + reach), x, axes).params
+        return jnp.linalg.cholesky(covariance(slope))
 
+    # Its loops run outside the program: compiled, they would hold a dozen copies of the model.
+    solver = jaxopt.ScipyBoundedMinimize(
+        fun=objective, value_and_grad=True, method="L-BFGS-B", tol=1e-10, maxiter=500
+    )
+    zero = jnp.zeros_like(start)
     x = start
     for _ in range(rounds):
-        x = improve(x)
+        axes = round_axes(x)
+        x = x + axes @ solver.run(zero, (zero - reach, zero + reach), x, axes).params
     return x
 
 
