@@ -1,0 +1,111 @@
+"""One column of water at one wavelength and azimuth order: solve it, and look inside."""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from oceaninv._quadrature import Basis
+from oceaninv.transport import _discrete_ordinates as do
+
+# Optical thickness of water without a floor.  Light returns from there only where a/c < 1e-11.
+ENDLESS = 1e6
+
+
+class Water(NamedTuple):
+    """Optical properties of the layers at one wavelength, top first."""
+
+    absorption: Array  # (layer,) 1/m
+    moments: Array  # (layer, moment + 1) b chi_l, 1/m; the last is the truncated peak
+    thickness: Array  # (layer,) m, or (layer - 1,) if the last is endless
+
+
+class Sources(NamedTuple):
+    """The light that enters, for one azimuth order."""
+
+    cosine: Array  # () of the sunbeam in the water
+    sun: Array  # () irradiance normal to the beam, below the surface
+    angular: Array  # (moment,) p_l(cosine), times 2 if m > 0
+    sky: Array | None  # (n,) radiance entering at the nodes
+    surface: Array | None  # (n,) reflectance from below
+    floor: Array | None  # () reflectance of the floor
+
+
+class Column(NamedTuple):
+    """A solved column; every leaf has a leading axis for the layers."""
+
+    layer: do.Layer
+    modes: do.Modes
+    beam: do.Beam
+    field: do.Field
+    top: Array  # (layer,) m
+    rate: Array  # (layer,) share of the layer per metre
+    start: Array  # (layer,) optical depth of the top
+
+
+def solve(water: Water, sources: Sources, basis: Basis) -> Column:
+    """The diffuse light field of a column."""
+    endless = sources.floor is None
+    thickness = water.thickness
+    one = jnp.ones((1,), dtype=thickness.dtype)
+    padded = jnp.concatenate([thickness, one]) if endless else thickness
+    layer = jax.vmap(do.scale_layer)(water.absorption, water.moments, padded)
+    rate = 1 / padded
+    if endless:
+        layer = layer._replace(depth=layer.depth.at[-1].set(ENDLESS))
+        rate = rate.at[-1].set(layer.extinction[-1] / ENDLESS)
+    modes = jax.vmap(do.layer_modes, (0, None))(layer, basis)
+    nu = 1 / sources.cosine
+    start = jnp.concatenate([0 * one, jnp.cumsum(layer.depth)[:-1]])
+
+    def sunlit(layer, modes, start):
+        light = sources.sun * jnp.exp(-nu * start)
+        return do.beam_source(layer, modes, basis, sources.angular * light, nu)
+
+    def closed(layer, modes, beam):
+        return do.slab(layer, modes, beam, False)
+
+    beam = jax.vmap(sunlit)(layer, modes, start)
+    stack = (layer, modes, beam)
+    upper = jax.tree.map(lambda s: s[:-1], stack)
+    lowest = jax.tree.map(lambda s: s[-1], stack)
+    several = start.shape[0] > 1
+    slabs = jax.vmap(closed)(*upper) if several else None
+    floor = None if endless else _floor(sources, basis, layer.depth[-1] + start[-1])
+    field = do.add_layers(
+        slabs,
+        do.slab(lowest[0], lowest[1], lowest[2], endless),
+        floor,
+        sources.surface,
+        None if sources.sky is None else basis.flux * sources.sky,
+    )
+    top = jnp.concatenate([0 * one, jnp.cumsum(padded)[:-1]])
+    return Column(layer, modes, beam, field, top, rate, start)
+
+
+def _floor(sources, basis, depth):
+    """A Lambertian floor sends light to azimuth order 0 only."""
+    share = jnp.where(basis.order == 0, sources.floor, jnp.zeros_like(sources.floor))
+    flux = sources.cosine * sources.sun * jnp.exp(-depth / sources.cosine)
+    f = basis.flux
+    return do.Wall(2 * share * jnp.outer(f, f), f * (share * flux / jnp.pi))
+
+
+def locate(column: Column, z: Float[Array, ""]) -> tuple[Column, Float[Array, ""]]:
+    """The layer at depth z (m) and z's share of it."""
+    if column.top.shape[0] == 1:
+        here = jax.tree.map(lambda leaf: leaf[0], column)
+    else:
+        index = jnp.sum(z > column.top[1:])
+        here = jax.tree.map(lambda leaf: leaf[index], column)
+    return here, (z - here.top) * here.rate
+
+
+def at_depth(
+    column: Column, z: Float[Array, ""]
+) -> tuple[Float[Array, "n"], Float[Array, "n"], Float[Array, ""]]:
+    """Diffuse light (down, up) in y at depth z (m), and the optical depth of z."""
+    here, share = locate(column, z)
+    down, up = do.inside(share, here.layer, here.modes, here.beam, here.field)
+    return down, up, here.start + share * here.layer.depth

@@ -1,0 +1,281 @@
+"""The exact light field of horizontally uniform water, by discrete ordinates."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Key
+
+from oceaninv._numerics import safe_sqrt
+from oceaninv._quadrature import Basis, angular_basis, double_gauss, legendre, snell_gauss
+from oceaninv.iops import IOPs
+from oceaninv.optics import Rays, fresnel_from_water, scattering_half_sine
+from oceaninv.scene import Floor, Scene
+from oceaninv.transport import _column, _ray
+from oceaninv.transport.base import AbstractTransport, Estimate, Irradiance, deterministic
+
+
+class Fluxes(eqx.Module):
+    """Irradiances at depths, (depth, wl), in the unit of the light.
+
+    `Ed`, `Eu`: plane irradiance, down and up, the sunbeam included.  `E0d`, `E0u`: scalar
+    irradiance of the light that travels down and up.
+    """
+
+    Ed: Float[Array, "depth wl"]
+    Eu: Float[Array, "depth wl"]
+    E0d: Float[Array, "depth wl"]
+    E0u: Float[Array, "depth wl"]
+
+    @property
+    def E0(self) -> Float[Array, "depth wl"]:
+        """Scalar irradiance."""
+        return self.E0d + self.E0u
+
+    @property
+    def mean_cosine(self) -> Float[Array, "depth wl"]:
+        """Mean cosine of the whole field, (Ed - Eu)/E0."""
+        return (self.Ed - self.Eu) / self.E0
+
+
+def quadrature(scene: Scene, streams: int, dtype) -> tuple[Array, Array, int]:
+    """Nodes, weights and the number of Legendre moments that they carry.
+
+    With a surface the set is split at the critical cosine and carries fewer: 7/4 per stream
+    keeps the discrete scattering operator positive for phase functions however peaked.
+    """
+    if scene.surface is None:
+        mu, weight = (jnp.asarray(v, dtype=dtype) for v in double_gauss(streams))
+        return mu, weight, 2 * streams
+    mu, weight = snell_gauss(streams, scene.surface.index.astype(dtype))
+    return mu, weight, 2 * (7 * streams // 8)
+
+
+def _water(scene: Scene, moments: int) -> _column.Water:
+    """Layers stacked, with the wavelength first."""
+    if isinstance(scene.water, IOPs):
+        layers, edges = (scene.water,), jnp.zeros((0,), dtype=scene.light.direct.dtype)
+    else:
+        layers, edges = scene.water.iops, scene.water.interfaces
+    if scene.floor is not None:
+        edges = jnp.concatenate([edges, scene.floor.depth[None].astype(edges.dtype)])
+    thickness = jnp.diff(edges, prepend=jnp.zeros((1,), dtype=edges.dtype))
+    if scene.floor is None and isinstance(scene.water, IOPs):
+        thickness = edges
+    return _column.Water(
+        jnp.stack([w.a for w in layers], axis=1),
+        jnp.stack([w.scattering_moments(moments).T for w in layers], axis=1),
+        thickness,
+    )
+
+
+def _sources(scene: Scene, mu: Array, moments: int, orders: int) -> _column.Sources:
+    """What enters, with leading axes (order,) in `angular`, (wl,) in `sun` and `floor`, (order,
+    wl) in `sky`: sky and floor send light to order 0 only."""
+    cosine, sun = scene.beam()
+    angular = legendre(cosine[None], orders, moments)[:, :, 0]
+    double = np.where(np.arange(orders) == 0, 1.0, 2.0)
+    angular = angular * jnp.asarray(double, dtype=mu.dtype)[:, None]
+    surface, through = None, jnp.ones_like(mu)
+    if scene.surface is not None:
+        index = scene.surface.index.astype(mu.dtype)
+        surface = fresnel_from_water(mu, index)
+        through = (1 - surface) * index**2
+    sky = None
+    if scene.light.diffuse is not None:
+        sky = jnp.outer(scene.light.diffuse, through)
+        sky = jnp.pad(sky[None], [(0, orders - 1), (0, 0), (0, 0)])
+    floor = None if scene.floor is None else scene.floor.reflectance
+    return _column.Sources(cosine, sun, angular, sky, surface, floor)
+
+
+def _solve(scene: Scene, streams: int, orders: int) -> tuple[_column.Column, Basis]:
+    """The field of every azimuth order (first axis) and wavelength (second axis)."""
+    mu, weight, moments = quadrature(scene, streams, scene.light.direct.dtype)
+    bases = angular_basis(mu, weight, orders, moments)
+    sources = _sources(scene, mu, moments, orders)
+    water_axes = _column.Water._make((0, 0, None))
+    by_wavelength = _axes(sources, (None, 0, None, 0, None, 0))
+    by_order = _axes(sources, (None, None, 0, 0, None, None))
+    solve = jax.vmap(_column.solve, (water_axes, by_wavelength, None))
+    solve = jax.vmap(solve, (None, by_order, 0))
+    return solve(_water(scene, moments), sources, bases), bases
+
+
+def _axes(sources: _column.Sources, axes: tuple) -> _column.Sources:
+    """Axes to map over, for the terms that exist."""
+    pairs = zip(sources, axes, strict=True)
+    return _column.Sources._make(None if source is None else axis for source, axis in pairs)
+
+
+def _first(tree):
+    return jax.tree.map(lambda leaf: leaf[0], tree)
+
+
+@eqx.filter_jit
+def _fluxes(scene: Scene, depths: Float[Array, " depth"], streams: int) -> Fluxes:
+    columns, basis = _first(_solve(scene, streams, 1))
+    cosine, sun = scene.beam()
+
+    def at(column, sun, z):
+        down, up, depth = _column.at_depth(column, z)
+        beam = sun * jnp.exp(-depth / cosine)
+        flux = 2 * np.pi * basis.flux
+        scalar = flux / basis.mu
+        return down @ flux + cosine * beam, up @ flux, down @ scalar + beam, up @ scalar
+
+    over_wavelength = jax.vmap(at, (0, 0, None))
+    return Fluxes(*jax.vmap(over_wavelength, (None, None, 0))(columns, sun, depths))
+
+
+_HORIZON = 1e-3  # lines of sight closer to horizontal than this count as if this far from it
+_BATCH = 64  # rays that are worked on at a time
+
+
+@eqx.filter_jit
+def _radiance(scene: Scene, rays: Rays, streams: int, orders: int) -> Float[Array, "ray wl"]:
+    columns, bases = _solve(scene, streams, orders)
+    cosine, sun = scene.beam()
+    layers = (scene.water,) if isinstance(scene.water, IOPs) else scene.water.iops
+    attenuation = jnp.stack([w.c for w in layers])
+    moments = columns.layer.gain.shape[-1]
+    mean = _first((columns, bases))
+    floor_radiance = None
+    if scene.floor is not None:
+        floor_radiance = _floor_radiance(scene.floor, cosine, sun, *mean)
+
+    def gathered(z, direction):
+        """Everything up to the surface or floor, and the transmittance to it, each (wl,)."""
+        mu = jnp.maximum(jnp.abs(direction[2]), _HORIZON)
+        sight = _ray.Sight(z, mu, direction[2] >= 0)
+        level = safe_sqrt(direction[0] ** 2 + direction[1] ** 2)
+        vertical = level < 1e-6
+        across = jnp.where(vertical, 1.0, direction[0] / jnp.where(vertical, 1.0, level))
+        azimuth = _cosines(across, orders)
+        angular = legendre(mu[None], orders, moments)[:, :, 0]
+        half_sine = scattering_half_sine(direction[None], cosine)
+        turned = 1 - 2 * half_sine**2
+        vsf = jnp.stack([w.volume_scattering(turned)[0] for w in layers], axis=1)
+        over_wavelength = jax.vmap(_ray.multiple_scattering, (0, None, None, None))
+        multiple = jax.vmap(over_wavelength, (0, 0, None, 0))(columns, bases, sight, angular)
+        single = jax.vmap(_ray.single_scattering, (0, None, 0, 0, None))
+        clear = jax.vmap(lambda column: _ray.stretches(column, sight)[1])(mean[0])
+        return azimuth @ multiple + single(mean[0], sight, vsf, sun, cosine), clear
+
+    def endless(z, direction):
+        inside, clear = gathered(z, direction)
+        down = direction[2] >= 0
+        floor = jnp.zeros_like(sun) if floor_radiance is None else floor_radiance
+        sky = jnp.zeros_like(sun) if scene.light.diffuse is None else scene.light.diffuse
+        if scene.surface is not None:
+            index = scene.surface.index.astype(z.dtype)
+            steep = jnp.maximum(jnp.abs(direction[2]), _HORIZON)
+            reflectance = fresnel_from_water(steep, index)
+            mirrored, through = gathered(jnp.zeros_like(z), direction.at[2].set(steep))
+            sky = (1 - reflectance) * index**2 * sky + reflectance * (mirrored + floor * through)
+        return inside + clear * jnp.where(down, floor, sky)
+
+    def one(ray):
+        origin, direction, length = ray
+        whole = endless(origin[2], direction)
+        if length is None:
+            return whole
+        end = origin[2] + length * direction[2]
+        ended = end >= 0
+        if scene.floor is not None:
+            ended = ended & (end <= scene.floor.depth)
+        end = jnp.where(ended, end, origin[2])
+        # The light that left the beam by scattering forward is light that arrives: the whole
+        # attenuation, not the delta-scaled one, separates the two ends.
+        path = _path(scene, origin[2], end, jnp.where(ended, length, 0.0))
+        beyond = jnp.exp(-(path @ attenuation)) * endless(end, direction)
+        return jnp.where(ended, whole - beyond, whole)
+
+    batch = (rays.origin, rays.direction, rays.length)
+    return jax.lax.map(one, batch, batch_size=_BATCH)
+
+
+def _path(scene: Scene, z, end, length) -> Float[Array, "layer"]:
+    """Length of a ray in each layer."""
+    if isinstance(scene.water, IOPs):
+        return length[None]
+    edges = scene.water.interfaces
+    top, bottom = jnp.minimum(z, end), jnp.maximum(z, end)
+    flat = bottom - top < 1e-6 * length
+    above = jnp.concatenate([jnp.clip(edges, top, bottom), bottom[None]])
+    share = jnp.diff(above, prepend=top[None]) / jnp.where(flat, 1.0, bottom - top)
+    layer = jnp.arange(edges.shape[0] + 1) == jnp.sum(z > edges)
+    return length * jnp.where(flat, layer.astype(share.dtype), share)
+
+
+def _cosines(x: Float[Array, ""], count: int) -> Float[Array, "order"]:
+    """cos(m phi) for x = cos(phi), m < count (Chebyshev's recurrence)."""
+    values = [jnp.ones_like(x), x]
+    for _ in range(2, count):
+        values.append(2 * x * values[-1] - values[-2])
+    return jnp.stack(values[:count])
+
+
+def _floor_radiance(floor: Floor, cosine, sun, columns, basis) -> Float[Array, "wl"]:
+    """Radiance that a Lambertian floor sends up."""
+    diffuse = 2 * np.pi * columns.field.bottom_down[:, -1] @ basis.flux
+    depth = columns.start[:, -1] + columns.layer.depth[:, -1]
+    return floor.reflectance * (diffuse + cosine * sun * jnp.exp(-depth / cosine)) / np.pi
+
+
+class PlaneParallel(AbstractTransport):
+    """Exact light field of horizontally uniform water, by discrete ordinates.
+
+    - **Solves**: the radiative transfer equation in any number of homogeneous layers, endlessly
+      deep or over a Lambertian floor, under a flat Fresnel surface or none, with sun (refracted)
+      and uniform sky.  Delta-M scaling (Wiscombe 1977), single scattering with the exact phase
+      function (Nakajima & Tanaka 1988), radiance by integrating the source function along the
+      line of sight.
+    - **Neglects**: waves, polarisation, inelastic scattering, the sun's own disc in radiances.
+    - **Dials**: `streams` directions per hemisphere, each with two Legendre moments (7/4 under a
+      surface); `orders` of azimuth kept in radiances (default: as many as streams; fluxes need
+      one, and so do radiances under a sun in the zenith).
+    - **Cost** per wavelength on one core in float64, 16 streams, 10 depths: 0.1 ms; it grows as
+      streams^3 and linearly in layers, orders and wavelengths.
+    - **Measured error** (`tests/test_plane_parallel.py`, `tests/test_discrete_ordinates.py`):
+      Ed and Eu 1e-6 (mean cosine of scattering 0.924: 1e-5) of the beam at 16 streams, 1e-8 at
+      48; E0 right at a boundary or in a thin slab 5e-4.
+      Radiance 5e-7 for isotropic scattering at 16 streams and orders; for HG 0.924 up to 4 % in
+      the aureole and where it is dimmest.
+    - **Differentiable in** everything, forward and reverse.
+
+    Discrete ordinates rather than doubling: per layer one symmetric eigenproblem, whose functions
+    are regular without absorption and at any thickness, serves every depth and direction (doubling
+    costs about five times as much).  Nodes are Gaussian on each hemisphere; under a surface they
+    are split at the critical cosine, where the reflectance has a square-root singularity, and
+    Gaussian in the cosine in air inside Snell's cone.
+
+    Raises ValueError for less than 2 streams or 1 order.
+    """
+
+    streams: int = eqx.field(static=True)
+    orders: int = eqx.field(static=True)
+
+    def __init__(self, streams: int = 16, orders: int | None = None):
+        if streams < 2:
+            raise ValueError(f"streams must be at least 2 per hemisphere, not {streams}.")
+        orders = streams if orders is None else orders
+        if orders < 1:
+            raise ValueError(f"orders must be at least 1, not {orders}.")
+        self.streams = streams
+        self.orders = orders
+
+    def fluxes(self, scene: Scene, depths: Float[Array, " depth"]) -> Fluxes:
+        """Plane and scalar irradiances of either hemisphere at depths (m), each (depth, wl)."""
+        return _fluxes(scene, depths, self.streams)
+
+    def irradiance(
+        self, scene: Scene, depths: Float[Array, " depth"], key: Key[Array, ""] | None = None
+    ) -> Irradiance:
+        """See `oceaninv.irradiance`."""
+        fluxes = self.fluxes(scene, depths)
+        return Irradiance(*(deterministic(e) for e in (fluxes.Ed, fluxes.Eu, fluxes.E0)))
+
+    def radiance(self, scene: Scene, rays: Rays, key: Key[Array, ""] | None = None) -> Estimate:
+        """See `oceaninv.radiance`."""
+        return deterministic(_radiance(scene, rays, self.streams, self.orders))
