@@ -186,7 +186,8 @@ def shape_nuisances() -> tuple[Parameter, ...]:
         Parameter("phytoplankton_exponent", 0.5, 0.5, Identity(), nuisance=True),
         Parameter("phytoplankton_absorption", 1.0, 0.4, nuisance=True),
         Parameter("phytoplankton_scattering", 1.0, 0.5, nuisance=True),
-        Parameter("backscatter", 1.0, 0.5, nuisance=True),
+        # Within the phase functions at hand; 1.1 of the log-odds is a factor of 1.6.
+        Parameter("backscatter", 1.0, 1.1, Logit(0.4, 2.75), nuisance=True),
     )
 
 

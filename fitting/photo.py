@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
@@ -21,7 +22,7 @@ from fitting.parameters import (
 )
 from fitting.posterior import Fit, Predictive
 from fitting.quantities import quantities_of, water_quantities
-from fitting.solve import covariance, least_squares, sentence, value_and_jacobian
+from fitting.solve import Optimum, covariance, least_squares, sentence, value_and_jacobian
 from oceaninv.transport.base import AbstractTransport
 
 WAVELENGTH = oi.spectrum.bands(16)
@@ -155,6 +156,8 @@ def _unknowns(photos: Sequence[Photo], matrix: bool) -> Parameters:
         *shape_nuisances(),
         Parameter("solar_zenith", max(sun, 1.0), 0.1, Log(), "degree", True),
         Parameter("sunlight_tilt", 0.0, 0.05, Identity(), "1", True),
+        # What the closed form gets wrong in Kd.
+        Parameter("closure", 0.0, 0.02, Identity(), "1", True),
         # The error of the closed-form path radiance, per channel.
         *(Parameter(f"veil_{c}", 1.0, 0.06, nuisance=True) for c in "RGB"),
     ]
@@ -220,11 +223,38 @@ def photo_residual(parameters: Parameters, readings, transport, sunlight, prior=
     return residual
 
 
+def search(
+    layout: Parameters,
+    prior: Prior,
+    readings: tuple[Readings, ...],
+    transport: AbstractTransport,
+    sunlight: Float[Array, " wl"],
+    start: Float[Array, " unknown"],
+) -> Optimum:
+    """The optimum of a photo fit.  Pure: jit and vmap it.
+
+    Searches first as if the readings were ten times as uncertain: from the priors' centres, exact
+    readings can drive the first steps into opaque water, from where nothing leads back.
+    """
+    observed = tuple(one.values for one in readings)
+
+    def stage(x, widen):
+        blurred = eqx.tree_at(
+            lambda all_: [one.sigma for one in all_],
+            readings,
+            [widen * one.sigma for one in readings],
+        )
+        residual = photo_residual(layout, blurred, transport, sunlight, prior)
+        optimum = least_squares(residual, x, observed, prior.scale)
+        return optimum.x, optimum
+
+    _, stages = jax.lax.scan(stage, start, jnp.asarray([10.0, 1.0], start.dtype))
+    return jax.tree.map(lambda leaf: leaf[-1], stages)
+
+
 @eqx.filter_jit
 def _solve(layout: Parameters, prior: Prior, readings, transport, sunlight):
-    residual = photo_residual(layout, readings, transport, sunlight, prior)
-    observed = tuple(one.values for one in readings)
-    optimum = least_squares(residual, prior.centre, observed, prior.scale)
+    optimum = search(layout, prior, readings, transport, sunlight, prior.centre)
 
     def outcome(x):
         return water_quantities(layout.values(x), WAVELENGTH, transport)

@@ -44,7 +44,9 @@ def water_quantities(
     """The quantities named in `UNITS` from parameter values; spectra on `wavelength`."""
     grid = np.union1d(wavelength, _MARKS)
     water = water_iops(values, grid)
-    kd = kd_to_ten_percent(water, values["solar_zenith"], transport)
+    # `closure`: relative error of the transport's Kd, a nuisance of the fits.
+    error = 1.0 + values.get("closure", jnp.zeros(()))
+    kd = error * kd_to_ten_percent(water, values["solar_zenith"], transport)
     asked = np.searchsorted(grid, wavelength)
     at_440, at_490, at_550 = np.searchsorted(grid, _MARKS)
     row = dict(zip(water.absorbers, water.a_components, strict=True))

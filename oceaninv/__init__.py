@@ -4,7 +4,7 @@ Constituents -> inherent optical properties -> light field -> what a sensor saw:
 pure, jit-able, differentiable JAX function.
 """
 
-from oceaninv import attenuation, phase, spectrum, tables, water
+from oceaninv import attenuation, media, mie, particles, phase, spectrum, tables, water
 from oceaninv.bio_optics import (
     CDOM,
     BioOpticalModel,
@@ -23,6 +23,7 @@ from oceaninv.scene import FlatSurface, Floor, Scene
 from oceaninv.transport.base import Estimate, Irradiance
 from oceaninv.transport.front import irradiance, photograph, radiance
 from oceaninv.transport.kd import KdTransport
+from oceaninv.transport.plane_parallel import PlaneParallel
 from oceaninv.transport.two_stream import TwoStream
 
 __all__ = [
@@ -41,6 +42,7 @@ __all__ = [
     "Light",
     "Minerals",
     "Phytoplankton",
+    "PlaneParallel",
     "Rays",
     "Scene",
     "TwoStream",
@@ -48,6 +50,9 @@ __all__ = [
     "gutierrez2008",
     "irradiance",
     "jerlov",
+    "media",
+    "mie",
+    "particles",
     "phase",
     "photograph",
     "radiance",

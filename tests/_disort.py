@@ -17,6 +17,8 @@ import os
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
+import itertools
+
 import numpy as np
 from numpy.polynomial import chebyshev
 from PythonicDISORT.pydisort import pydisort
@@ -58,7 +60,7 @@ def _cell_means(mu, weight, index):
     edges = np.concatenate([[0.0], np.cumsum(weight)])
     x, w = np.polynomial.legendre.leggauss(400)
     means = np.empty_like(mu)
-    for i, (low, high) in enumerate(zip(edges[:-1], edges[1:], strict=True)):
+    for i, (low, high) in enumerate(itertools.pairwise(edges)):
         at = low + (high - low) * (x + 1) / 2
         means[i] = np.sum(w * at * fresnel_from_water(at, index)) / np.sum(w * at)
     return means
@@ -141,7 +143,7 @@ class Slab:
         total = 0.0
         stops = np.unique(np.clip((tau - self.breaks) / mu, 0, path))
         x, w = np.polynomial.legendre.leggauss(_RAY)
-        for low, high in zip(stops[:-1], stops[1:], strict=True):
+        for low, high in itertools.pairwise(stops):
             if scale * low > 40 or high - low < 1e-13:
                 continue
             share = -np.expm1(-scale * (high - low))
@@ -238,7 +240,7 @@ def solve(
     breaks = np.unique(np.concatenate([[0.0], np.asarray(breaks, float), [thickness]]))
     nodes = np.cos(np.pi * (np.arange(_CHEBYSHEV) + 0.5) / _CHEBYSHEV)
     source = []
-    for low, high in zip(breaks[:-1], breaks[1:], strict=True):
+    for low, high in itertools.pairwise(breaks):
         field = u(low + (high - low) * (nodes + 1) / 2, angles)  # (mu, tau, phi)
         by_mode = _fourier(field, modes)  # (mu, tau, m)
         projected = np.einsum("mlj,jtm->tml", table, by_mode, optimize=True) * factor

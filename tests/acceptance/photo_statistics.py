@@ -27,10 +27,10 @@ from scipy.stats import binom
 import oceaninv as oi
 from fitting import Background, Chart, Photo
 from fitting.parameters import Prior
-from fitting.photo import WAVELENGTH, photo_residual, predict, prepare
+from fitting.photo import WAVELENGTH, predict, prepare, search
 from fitting.posterior import quantile
 from fitting.quantities import water_quantities
-from fitting.solve import covariance, least_squares, value_and_jacobian
+from fitting.solve import covariance, value_and_jacobian
 from tests.acceptance import _mismatched
 
 DRAWS, CHUNK, NOISE = 200, 25, 0.01
@@ -90,8 +90,7 @@ def programs():
             (jnp.where(mask, seen, 1.0), jnp.where(mask, NOISE * seen, 1.0), mask),
         )
         prior = Prior(centre, weight, scale)
-        residual = photo_residual(layout, (here,), transport, sunlight, prior)
-        optimum = least_squares(residual, start, (here.values,), scale)
+        optimum = search(layout, prior, (here,), transport, sunlight, start)
         chi2 = jnp.sum(optimum.residual**2) / seen.size
         return optimum.x, optimum.code, covariance(optimum.jacobian), chi2
 
