@@ -34,7 +34,7 @@ class KdTransport(AbstractTransport):
     - **Cost**: O(1) per ray and wavelength, about 8 exponentials.
     - **Measured error** (`tests/acceptance/two_stream_accuracy.md`): radiance beyond 20 degrees of
       the sun, median 12 % with Lee's Kd and 10 % with the exact one; Ed as good as the Kd that it
-      is given (13 % with Lee's, far beyond its range in clear water).
+      is given (median 13 % with Lee's).
     - **Differentiable in** everything, forward and reverse; a must be positive.
     """
 
