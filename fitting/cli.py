@@ -28,15 +28,15 @@ def _commands() -> None:
 def quick_compilation() -> None:
     """Halve compile times on a CPU; must come before JAX starts its backend.
 
-    jaxlib 0.10's newer code generator compiles these long elementwise programs twice as slowly as
-    the older one, to no gain at run time (measured).  Other versions are left alone: an unknown
-    flag would end the process.
+    A fit runs once for a tenth of a second, so its program is not worth optimising: level 0 halves
+    the compile time, and so does the older of jaxlib 0.10's two code generators (measured).  Other
+    versions are left alone: an unknown flag would end the process.
     """
     from importlib.metadata import version
 
     if version("jaxlib").startswith("0.10."):
-        flags = os.environ.get("XLA_FLAGS", "")
-        os.environ["XLA_FLAGS"] = f"{flags} --xla_cpu_use_fusion_emitters=false".strip()
+        quick = "--xla_cpu_use_fusion_emitters=false --xla_backend_optimization_level=0"
+        os.environ["XLA_FLAGS"] = f"{os.environ.get('XLA_FLAGS', '')} {quick}".strip()
 
 
 def _set_up() -> None:
@@ -79,6 +79,7 @@ def fit_profile_command(
     if low is not None or high is not None:
         deepest = float(profile.depth.max())
         depth_range = (low or 0.0, deepest if high is None else high)
+    _preload()
     with _status("fitting Kd"):
         fit = fit_profile(profile, depth_range=depth_range)
     constituents = None
@@ -119,6 +120,7 @@ def fit_photo_command(
 
     metres, relative = _depth(depth)
     photo, clipped = read_photo(path, metres, relative, camera, solar_zenith, azimuth)
+    _preload()
     with _status("fitting constituents (the first run compiles)"):
         fit = fit_photo(photo, matrix=matrix)
     if clipped or photo.masked:
@@ -177,30 +179,25 @@ def _print_water(fit: "Fit") -> None:
     from rich.table import Table
 
     table = Table(title=f"Water by {fit.metadata['transport']}", title_justify="left")
-    for name in ("quantity", "unit", "value", "95 % interval", "leans most on"):
+    for name in ("quantity", "unit", "value", "95 % interval"):
         table.add_column(name, justify="left" if name in ("quantity", "unit") else "right")
+    leans = Table(title="Shift of the value per sd of an assumption", title_justify="left")
+    leans.add_column("quantity")
+    leans.add_column("leans most on", overflow="fold")
     for name, quantity in fit.quantities.items():
         if quantity.value.ndim == 0:
             low, high = quantity.interval(0.95, fit.dof)
             known = bool(quantity.sd <= 0.5)
-            table.add_row(
-                name,
-                quantity.unit,
-                *_shown(float(quantity.value), low, high, known),
-                _leaning(fit, name),
-            )
+            table.add_row(name, quantity.unit, *_shown(float(quantity.value), low, high, known))
+            leans.add_row(name, _leaning(fit, name))
     for parameter in fit.parameters:
         if not parameter.nuisance:
             name = parameter.name
             low, high = fit.interval(name)
             known = fit.identifiable[name]
-            table.add_row(
-                name,
-                parameter.unit,
-                *_shown(fit.value[name], low, high, known),
-                _leaning(fit, name),
-            )
-    Console().print(table)
+            table.add_row(name, parameter.unit, *_shown(fit.value[name], low, high, known))
+            leans.add_row(name, _leaning(fit, name))
+    Console().print(table, leans)
     print(f"search: {fit.result}")
 
 
@@ -231,6 +228,16 @@ def run(arguments: list[str]) -> int:
     except SystemExit as end:
         return int(end.code or 0)
     return 0
+
+
+def _preload() -> None:
+    """Import what the results are written with while the compiler keeps the other core busy."""
+    import threading
+
+    def load():
+        import xarray  # noqa: F401
+
+    threading.Thread(target=load, daemon=True).start()
 
 
 def main() -> None:

@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 import oceaninv as oi
+from fitting._programs import kept
 from fitting.observations import Photo
 from fitting.parameters import (
     Identity,
@@ -252,7 +253,7 @@ def search(
     return jax.tree.map(lambda leaf: leaf[-1], stages)
 
 
-@eqx.filter_jit
+@kept
 def _solve(layout: Parameters, prior: Prior, readings, transport, sunlight):
     optimum = search(layout, prior, readings, transport, sunlight, prior.centre)
 

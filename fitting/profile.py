@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 import oceaninv as oi
+from fitting._programs import kept
 from fitting.observations import MIN_DEPTHS, Profile
 from fitting.parameters import (
     Identity,
@@ -43,7 +44,7 @@ class BandFit(eqx.Module):
     noise: Float[Array, "*band"]
 
 
-@eqx.filter_jit
+@kept
 def fit_bands(
     depth: Float[Array, "band depth"],
     Ed: Float[Array, "band depth"],
@@ -138,10 +139,10 @@ def _window(profile: Profile, depth_range) -> tuple[np.ndarray, str]:
         return mask, "mean from the surface to the depth of 10 % light"
     low, high = depth_range
     mask = profile.mask & ((profile.depth >= low) & (profile.depth <= high))[:, None]
-    for band, kept in zip(profile.wavelength, mask.sum(axis=0), strict=True):
-        if kept < MIN_DEPTHS:
+    for band, count in zip(profile.wavelength, mask.sum(axis=0), strict=True):
+        if count < MIN_DEPTHS:
             raise ValueError(
-                f"depth_range {low:g}-{high:g} m leaves {kept} usable depths at {band:g} nm; at "
+                f"depth_range {low:g}-{high:g} m leaves {count} usable depths at {band:g} nm; at "
                 f"least {MIN_DEPTHS} are needed."
             )
     return mask, f"mean over {low:g} to {high:g} m"
@@ -323,7 +324,7 @@ def _model_ed(parameters: Parameters, grid, transport, x, depth):
     return surface[None, :] * relative
 
 
-@eqx.filter_jit
+@kept
 def _solve_constituents(layout: Parameters, prior: Prior, grid, transport, cast: _Cast):
     def residual(x, cast):
         model = _model_ed(layout, grid, transport, x, cast.depth)

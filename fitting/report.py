@@ -135,9 +135,11 @@ def picture(fit: Fit, path: str | Path, constituents: Fit | None = None) -> None
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(12.5, 4.6), layout="constrained")
+    figure = Figure(figsize=(12.5, 4.6))
     FigureCanvasAgg(figure)
-    data, spectra, unknowns = figure.subplots(1, 3, width_ratios=(1.15, 1, 1))
+    # Fixed margins: a computed layout would draw everything twice.
+    margins = {"left": 0.06, "right": 0.985, "bottom": 0.12, "top": 0.87, "wspace": 0.2}
+    data, spectra, unknowns = figure.subplots(1, 3, width_ratios=(1.15, 1, 1), gridspec_kw=margins)
     if "depth" in fit.posterior_predictive.axes:
         _draw_profile(data, fit)
     else:

@@ -68,6 +68,36 @@ class _LevenbergMarquardt(optx.AbstractGaussNewton):
     verbose: Callable = lambda **_: None
 
 
+def _with_matrix(function: Residual) -> Residual:
+    """The same function, linear in the first argument's tangent through a matrix made once.
+
+    The solver applies the linearised residual in several places; without this, each would be a
+    copy of the model's derivative to compile.
+    """
+
+    def rule(primals, tangents):
+        (u, args), (du, dargs) = primals, tangents
+        value, slope = value_and_jacobian(lambda u: function(u, args), u)
+        zero = jax.custom_derivatives.SymbolicZero
+        tangent = jnp.zeros_like(value) if isinstance(du, zero) else slope @ du
+        moved = jax.tree.leaves(dargs, is_leaf=lambda leaf: isinstance(leaf, zero))
+        if any(not isinstance(leaf, zero) for leaf in moved):
+            dargs = jax.tree.map(_materialised, args, dargs)
+            tangent += jax.jvp(lambda args: function(u, args), (args,), (dargs,))[1]
+        return value, tangent
+
+    wrapped = jax.custom_jvp(function)
+    wrapped.defjvp(rule, symbolic_zeros=True)
+    return wrapped
+
+
+def _materialised(primal, tangent):
+    if not isinstance(tangent, jax.custom_derivatives.SymbolicZero):
+        return tangent
+    inexact = jnp.issubdtype(primal.dtype, jnp.inexact)
+    return jnp.zeros_like(primal) if inexact else np.zeros(primal.shape, jax.dtypes.float0)
+
+
 def least_squares(
     residual: Residual,
     start: Float[Array, " unknown"],
@@ -84,11 +114,16 @@ def least_squares(
     Pure: jit and vmap it; a lane that fails carries a code instead of raising.
     """
     unit = jnp.ones_like(start) if scale is None else scale.astype(start.dtype)
+
+    def misfit(u, args):
+        origin, unit, args = args
+        return residual(origin + unit * u, args)
+
     solution = optx.least_squares(
-        lambda u, args: residual(start + unit * u, args),
+        _with_matrix(misfit),
         _LevenbergMarquardt(),
         jnp.zeros_like(start),
-        args,
+        (*jax.lax.stop_gradient((start, unit)), args),
         options={"jac": "fwd"},
         max_steps=max_steps,
         throw=False,
