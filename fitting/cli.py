@@ -1,5 +1,6 @@
 """The command `oceaninv`."""
 
+import itertools
 import os
 import sys
 from pathlib import Path
@@ -66,6 +67,9 @@ def fit_profile_command(
     low: Annotated[float | None, typer.Option("--from", help="Shallowest depth, m.")] = None,
     high: Annotated[float | None, typer.Option("--to", help="Deepest depth, m.")] = None,
     solar_zenith: SolarZenith = None,
+    layers: Annotated[
+        str, typer.Option(help="Layers of constant Kd: a number, or auto to let the data choose.")
+    ] = "1",
     kd_only: Annotated[bool, typer.Option(help="Skip the fit of constituents.")] = False,
 ) -> None:
     """Fit Kd of every band and the constituents of the water to a depth profile of Ed."""
@@ -81,7 +85,7 @@ def fit_profile_command(
         depth_range = (low or 0.0, deepest if high is None else high)
     _preload()
     with _status("fitting Kd"):
-        fit = fit_profile(profile, depth_range=depth_range)
+        fit = fit_profile(profile, depth_range=depth_range, layers=_layers(layers))
     constituents = None
     if not kd_only:
         with _status("fitting constituents (the first run compiles)"):
@@ -129,6 +133,14 @@ def fit_photo_command(
     _finish(output or Path(path.stem), lambda p: save(p, fit), lambda p: picture(fit, p))
 
 
+def _layers(text: str) -> int | None:
+    if text == "auto":
+        return None
+    if not text.isdigit():
+        raise ValueError(f"--layers is {text!r}; write a number or auto.")
+    return int(text)
+
+
 def _depth(text: str) -> tuple[float, float]:
     """(metres, relative standard deviation) from "5" or "5+-2"."""
     value, _, spread = text.partition("+-")
@@ -169,9 +181,27 @@ def _print_kd(fit: "Fit") -> None:
             f"{fit.metadata['deepest_used_m'][i]:.1f}",
         )
     Console().print(table)
+    if fit.metadata["interfaces_m"]:
+        _print_layers(fit)
     if fit.metadata["masked_values"]:
         print(f"masked: {fit.metadata['masked_values']} missing or non-positive values")
     print(f"search: {fit.result}")
+
+
+def _print_layers(fit: "Fit") -> None:
+    from rich.console import Console
+    from rich.table import Table
+
+    edges = [0.0, *fit.metadata["interfaces_m"], max(fit.metadata["deepest_used_m"])]
+    table = Table(title="Kd (1/m) by layer, with 95 % intervals", title_justify="left")
+    table.add_column("nm", justify="right")
+    for top, bottom in itertools.pairwise(edges):
+        table.add_column(f"{top:.3g} - {bottom:.3g} m", justify="right")
+    for wavelength in fit.wavelength:
+        names = [f"Kd_{wavelength:g}_{i}" for i in range(1, len(edges))]
+        intervals = [fit.interval(name) for name in names]
+        table.add_row(f"{wavelength:g}", *(f"{low:.3g} - {high:.3g}" for low, high in intervals))
+    Console().print(table)
 
 
 def _print_water(fit: "Fit") -> None:

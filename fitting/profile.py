@@ -1,14 +1,12 @@
 """Depth profiles of irradiance to Kd(wl), and to constituents."""
 
-import functools
-
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
 import oceaninv as oi
+from fitting._bands import BandFit, choose_interfaces, fit_bands, thickness
 from fitting._programs import kept
 from fitting.observations import MIN_DEPTHS, Profile
 from fitting.parameters import (
@@ -24,94 +22,12 @@ from fitting.parameters import (
 from fitting.posterior import Fit, Predictive, Quantity
 from fitting.quantities import quantities_of, water_quantities
 from fitting.solve import (
-    Optimum,
     covariance,
     least_squares,
     sentence,
     value_and_jacobian,
 )
 from oceaninv.transport.base import AbstractTransport
-
-_RELATIVE_NOISE = 0.05
-_ROUNDS = 4
-
-
-class BandFit(eqx.Module):
-    """Exponential fits of many bands: `x` = (ln Ed(0-), ln Kd), each with a leading band axis."""
-
-    optimum: Optimum
-    covariance: Float[Array, "*band 2 2"]
-    noise: Float[Array, "*band"]
-
-
-@kept
-def fit_bands(
-    depth: Float[Array, "band depth"],
-    Ed: Float[Array, "band depth"],
-    sigma: Float[Array, "band depth"] | None,
-    floor: Float[Array, " band"],
-    mask: Bool[Array, "band depth"],
-) -> BandFit:
-    """Ed = Ed(0-) e^(-Kd z) for every band by itself; one compiled program for a padded batch.
-
-    Maximum likelihood with sd^2 = (noise Ed)^2 + floor^2 evaluated at the model, not at the
-    noisy datum (which would favour low readings); `noise` is estimated from the residuals when
-    `sigma` is None.
-    """
-    if sigma is None:
-        return jax.vmap(functools.partial(_fit_band, None))(depth, Ed, floor, mask)
-    return jax.vmap(_fit_band)(sigma, depth, Ed, floor, mask)
-
-
-def _band_residual(x, args):
-    depth, Ed, sd, mask = args
-    model = jnp.exp(x[0] - jnp.exp(jnp.clip(x[1], -46.0, 8.0)) * depth)
-    return jnp.where(mask, (Ed - model) / sd, 0.0)
-
-
-def _fit_band(sigma, depth, Ed, floor, mask):
-    count = jnp.sum(mask).astype(Ed.dtype)
-    positive = jnp.where(mask, Ed, 1.0)
-    x = _log_linear(
-        depth,
-        jnp.log(positive),
-        jnp.where(mask, positive**2, 0.0) / ((_RELATIVE_NOISE * positive) ** 2 + floor**2),
-    )
-
-    def spread(x, noise):
-        if sigma is not None:
-            return jnp.where(mask, sigma, 1.0)
-        model = jnp.exp(x[0] - jnp.exp(x[1]) * depth)
-        return jnp.sqrt((noise * model) ** 2 + floor**2)
-
-    def refine(carry, _):
-        x, noise = carry
-        optimum = least_squares(
-            _band_residual, x, (depth, Ed, spread(x, noise), mask), max_steps=60
-        )
-        if sigma is None:
-            excess = jnp.sum(optimum.residual**2) / jnp.maximum(count - 2, 1)
-            noise = jnp.clip(noise * jnp.sqrt(excess), 1e-5, 1.0)
-        return (optimum.x, noise), optimum.code
-
-    rounds = _ROUNDS if sigma is None else 1
-    (x, noise), codes = jax.lax.scan(
-        refine, (x, jnp.asarray(_RELATIVE_NOISE, x.dtype)), None, length=rounds
-    )
-    args = (depth, Ed, spread(x, noise), mask)
-    residual, jacobian = value_and_jacobian(lambda x: _band_residual(x, args), x)
-    optimum = Optimum(x, residual, jacobian, codes[-1])
-    return BandFit(optimum, covariance(optimum.jacobian), noise)
-
-
-def _log_linear(depth, log_ed, weight):
-    """Weighted straight line through ln Ed: (intercept, ln slope), the slope kept positive."""
-    total = jnp.sum(weight)
-    mean_z, mean_y = jnp.sum(weight * depth) / total, jnp.sum(weight * log_ed) / total
-    spread = jnp.sum(weight * (depth - mean_z) ** 2)
-    slope = -jnp.sum(weight * (depth - mean_z) * (log_ed - mean_y)) / jnp.maximum(spread, 1e-12)
-    slope = jnp.maximum(slope, 1e-4)
-    return jnp.stack([mean_y + slope * mean_z, jnp.log(slope)])
 
 
 def light_level_mask(profile: Profile, level: float = 0.1) -> np.ndarray:
@@ -157,7 +73,7 @@ def _pad(array: np.ndarray, size: int, fill) -> np.ndarray:
     return np.pad(array, [(0, 0), (0, size - array.shape[1])], constant_values=fill)
 
 
-def _fit_profile_bands(profile: Profile, mask: np.ndarray) -> BandFit:
+def _fit_profile_bands(profile: Profile, mask: np.ndarray, interfaces: np.ndarray) -> BandFit:
     size = _padded(len(profile.depth))
     bands = len(profile.wavelength)
     depth = np.broadcast_to(profile.depth, (bands, len(profile.depth)))
@@ -169,7 +85,14 @@ def _fit_profile_bands(profile: Profile, mask: np.ndarray) -> BandFit:
         sigma,
         jnp.asarray(profile.floor),
         jnp.asarray(_pad(mask.T, size, False)),
+        jnp.asarray(interfaces) if interfaces.size else None,
     )
+
+
+def _band_model(x: np.ndarray, depth: np.ndarray, interfaces: np.ndarray) -> np.ndarray:
+    """(depth, wl) irradiance of band fits `x` (wl, 1 + layer)."""
+    path = np.asarray(thickness(jnp.asarray(depth), interfaces))
+    return np.exp(x[None, :, 0] - path @ np.exp(x[:, 1:]).T)
 
 
 def fit_profile(
@@ -178,6 +101,7 @@ def fit_profile(
     transport: AbstractTransport | None = None,
     priors: dict[str, Parameter] | None = None,
     depth_range: tuple[float, float] | None = None,
+    layers: int | None = 1,
 ) -> Fit:
     """Fit a depth profile of downward irradiance.
 
@@ -192,13 +116,24 @@ def fit_profile(
       `{"cdom": Parameter("cdom", 0.12, 0.1)}`.
     - `depth_range`: (low, high) metres; by default each band is used from the surface to the
       depth where its light has fallen to 10 %.
+    - `layers`: how many layers of constant Kd, without a transport; None lets the Bayes
+      information criterion choose up to four.  Their interfaces stand in
+      `metadata["interfaces_m"]`, the parameters are "Kd_<nm>_1" and so on downwards, and the
+      quantity "Kd" is the mean over the depths that were used.
 
     **Returns** a `Fit` with the quantity "Kd" at the profile's wavelengths (which mean it is
     stands in `metadata["kd_definition"]`); with a transport also Kd(490), c(550), bb(550) and
     a_cdm(440) of the water.
     """
+    if layers is not None and layers < 1:
+        raise ValueError(f"layers is {layers}; give 1 or more, or None to let the data choose.")
+    if transport is not None and layers != 1:
+        raise ValueError("layers apply to a fit of Kd alone; a transport fits one water.")
     mask, definition = _window(profile, depth_range)
-    bands = _fit_profile_bands(profile, mask)
+    interfaces = np.zeros(0)
+    if layers != 1:
+        interfaces = choose_interfaces(profile.depth, profile.Ed, profile.floor, mask, layers)
+    bands = _fit_profile_bands(profile, mask, interfaces)
     metadata = {
         "source": profile.source,
         "kd_definition": definition,
@@ -208,37 +143,53 @@ def fit_profile(
         "relative_noise": [float(s) for s in bands.noise] if profile.sigma is None else "given",
     }
     if transport is None:
-        return _kd_result(profile, mask, bands, priors, metadata)
+        metadata["interfaces_m"] = interfaces.tolist()
+        return _kd_result(profile, mask, bands, interfaces, priors, metadata)
     metadata["transport"] = type(transport).__name__
     return _constituent_fit(profile, mask, bands, transport, priors, metadata)
 
 
-def _kd_result(profile, mask, bands: BandFit, priors, metadata) -> Fit:
+def _kd_parameters(wavelength: np.ndarray, x: np.ndarray) -> Parameters:
+    """Ed0 of all bands, then Kd of all bands in the first layer, and so on downwards."""
+    count = x.shape[1] - 1
+    rows = [("Ed0_{:g}", "W m-2 nm-1", True)]
+    rows += [("Kd_{:g}" + (f"_{i + 1}" if count > 1 else ""), "m-1", False) for i in range(count)]
+    return Parameters(
+        [
+            Parameter(name.format(wl), float(np.exp(value)), unit=unit, nuisance=nuisance)
+            for (name, unit, nuisance), column in zip(rows, x.T, strict=True)
+            for wl, value in zip(wavelength, column, strict=True)
+        ]
+    )
+
+
+def _mean_kd(profile, mask, x, cov, interfaces) -> Quantity:
+    """Kd from the shallowest to the deepest sample used, the mean over layers by thickness."""
+    path = np.asarray(thickness(jnp.asarray(profile.depth), interfaces))
+    reach = np.array([path[m][-1] - path[m][0] for m in mask.T])
+    parts = reach * np.exp(x[:, 1:])
+    mean = parts.sum(axis=1) / reach.sum(axis=1)
+    share = parts / parts.sum(axis=1, keepdims=True)
+    variance = np.einsum("wi,wij,wj->w", share, cov[:, 1:, 1:], share)
+    return Quantity(mean, np.sqrt(variance), "m-1", "diffuse attenuation coefficient")
+
+
+def _kd_result(profile, mask, bands: BandFit, interfaces, priors, metadata) -> Fit:
     if priors:
         raise ValueError("priors apply to a fit through a transport; Kd alone has none.")
     x, cov = np.asarray(bands.optimum.x), np.asarray(bands.covariance)
-    n = len(profile.wavelength)
-    labels = [f"{wl:g}" for wl in profile.wavelength]
-    parameters = Parameters(
-        [
-            Parameter(f"Ed0_{wl}", float(np.exp(v)), unit="W m-2 nm-1", nuisance=True)
-            for wl, v in zip(labels, x[:, 0], strict=True)
-        ]
-        + [
-            Parameter(f"Kd_{wl}", float(np.exp(v)), unit="m-1")
-            for wl, v in zip(labels, x[:, 1], strict=True)
-        ]
-    )
-    full = np.zeros((2 * n, 2 * n))
+    n, unknowns = x.shape
+    parameters = _kd_parameters(profile.wavelength, x)
+    full = np.zeros((unknowns * n, unknowns * n))
     order = np.arange(n)
-    for i in (0, 1):
-        for j in (0, 1):
+    for i in range(unknowns):
+        for j in range(unknowns):
             full[order + i * n, order + j * n] = cov[:, i, j]
-    kd = Quantity(np.exp(x[:, 1]), np.sqrt(cov[:, 1, 1]), "m-1", "diffuse attenuation coefficient")
+    kd = _mean_kd(profile, mask, x, cov, interfaces)
     # Intervals of a band use its own degrees of freedom; the smallest is the honest one for all.
-    dof = None if profile.sigma is not None else float(mask.sum(axis=0).min() - 2)
+    dof = None if profile.sigma is not None else float(mask.sum(axis=0).min() - unknowns)
     codes = np.asarray(bands.optimum.code)
-    model = np.exp(x[None, :, 0] - np.exp(x[None, :, 1]) * profile.depth[:, None])
+    model = _band_model(x, profile.depth, interfaces)
     predictive = _predictive(profile, mask, bands, model)
     return Fit(
         parameters,
@@ -345,7 +296,7 @@ def _solve_constituents(layout: Parameters, prior: Prior, grid, transport, cast:
 def _constituent_fit(profile, mask, bands, transport, priors, metadata) -> Fit:
     parameters = _unknowns(profile, bands, priors)
     x = np.asarray(bands.optimum.x)
-    model = np.exp(x[None, :, 0] - np.exp(x[None, :, 1]) * profile.depth[:, None])
+    model = _band_model(x, profile.depth, np.zeros(0))
     extra = _padded(len(profile.depth)) - len(profile.depth)
 
     def pad(array, fill):

@@ -16,8 +16,8 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.stats import binom
 
+from fitting._bands import fit_bands
 from fitting.posterior import quantile
-from fitting.profile import fit_bands
 
 CASTS = 2000
 DEPTHS = 64
