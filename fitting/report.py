@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from fitting._bulk_picture import draw_coefficients
 from fitting.posterior import Fit, Quantity
 
 if TYPE_CHECKING:
@@ -108,6 +109,8 @@ def dataset(fit: Fit) -> "xarray.Dataset":
         )
     if "channel" in predictive.axes:
         coords["channel"] = np.array(["R", "G", "B"], dtype=str)
+    if "coefficient" in predictive.axes:
+        coords["coefficient"] = predictive.coords["coefficient"]
     return xr.Dataset(
         data,
         coords,
@@ -140,11 +143,12 @@ def picture(fit: Fit, path: str | Path, constituents: Fit | None = None) -> None
     # Fixed margins: a computed layout would draw everything twice.
     margins = {"left": 0.06, "right": 0.985, "bottom": 0.12, "top": 0.87, "wspace": 0.2}
     data, spectra, unknowns = figure.subplots(1, 3, width_ratios=(1.15, 1, 1), gridspec_kw=margins)
-    if "depth" in fit.posterior_predictive.axes:
-        _draw_profile(data, fit)
+    if "coefficient" in fit.posterior_predictive.axes:
+        draw_coefficients(data, spectra, fit)
     else:
-        _draw_readings(data, fit)
-    _draw_spectra(spectra, fit, constituents)
+        draw = _draw_profile if "depth" in fit.posterior_predictive.axes else _draw_readings
+        draw(data, fit)
+        _draw_spectra(spectra, fit, constituents)
     _draw_unknowns(unknowns, constituents or fit)
     figure.suptitle(str(fit.metadata.get("source", "")), fontsize=9, color="0.35")
     with whole(path) as temporary:

@@ -50,6 +50,19 @@ def test_milk_without_noise_returns_its_fat_and_protein():
     assert -3 * 0.15 < leaning["micelle_size"] < -1.5 * 0.15
 
 
+def test_a_fit_is_written_as_dataset_and_picture(tmp_path):
+    fit = fit_bulk(simulated(0.5, 3.2, seed=2), MILK)
+    data = fit.to_xarray()
+    assert data["reading_observed"].dims == ("coefficient", "wavelength")
+    np.testing.assert_allclose(data["a"], fit.quantities["a"].value)
+    assert data["reading_predicted"].sel(coefficient="b", wavelength=550.0) == pytest.approx(
+        fit.quantities["b"].value[1]
+    )
+    data.to_netcdf(tmp_path / "milk.nc", engine="h5netcdf")
+    fit.report(tmp_path / "milk.png")
+    assert (tmp_path / "milk.png").stat().st_size > 10_000
+
+
 def milk_total(fit):
     return np.asarray(milk_spectra(jnp.asarray(fit.x)).sum(axis=0))
 
