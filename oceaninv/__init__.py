@@ -21,6 +21,7 @@ from oceaninv.light import Light
 from oceaninv.optics import Rays
 from oceaninv.scene import FlatSurface, Floor, Scene
 from oceaninv.transport.base import Estimate, Irradiance
+from oceaninv.transport.four_stream import FourStream
 from oceaninv.transport.front import irradiance, photograph, radiance
 from oceaninv.transport.kd import KdTransport
 from oceaninv.transport.plane_parallel import PlaneParallel
@@ -35,6 +36,7 @@ __all__ = [
     "Estimate",
     "FlatSurface",
     "Floor",
+    "FourStream",
     "IOPs",
     "Irradiance",
     "KdTransport",

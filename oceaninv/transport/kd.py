@@ -8,7 +8,8 @@ from oceaninv.attenuation import irradiance_reflectance, kd_lee2005
 from oceaninv.iops import check_concrete
 from oceaninv.optics import Rays, diffuse_reflectance
 from oceaninv.scene import Scene
-from oceaninv.transport._shell import Field, Scaled, Terms, radiance
+from oceaninv.transport._moments import Field, Scaled, Terms
+from oceaninv.transport._shell import radiance
 from oceaninv.transport.base import (
     AbstractTransport,
     Estimate,
@@ -79,18 +80,15 @@ class KdTransport(AbstractTransport):
     def _field(self, scene: Scene) -> Field:
         down, reflectance, kd = self._surface(scene)
         medium = homogeneous(scene)
-        water = Scaled(medium)
         mu0, beam = scene.beam()
         net = (1.0 - reflectance) * down
         return Field(
-            water=water,
+            Scaled(medium),
             K=kd,
-            k0=water.c_star / mu0,
             mu0=mu0,
             beam=beam,
             e=Terms(kd / medium.a * net, -beam),
             f=Terms(net, -mu0 * beam),
-            bottom=None,
         )
 
 

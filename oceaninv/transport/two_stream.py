@@ -9,7 +9,8 @@ from oceaninv._numerics import exp_mean, safe_sqrt
 from oceaninv.attenuation import irradiance_reflectance
 from oceaninv.optics import Rays, diffuse_reflectance
 from oceaninv.scene import Scene
-from oceaninv.transport._shell import Field, Scaled, Terms, radiance
+from oceaninv.transport._moments import Field, Scaled, Terms
+from oceaninv.transport._shell import radiance
 from oceaninv.transport.base import (
     AbstractTransport,
     Estimate,
@@ -97,9 +98,10 @@ def solve(scene: Scene) -> Field:
     """The two-stream field of a scene with one homogeneous water."""
     medium = homogeneous(scene)
     water, a = Scaled(medium), medium.a
+    c_star = water.softened.c_star
     mu0, beam = scene.beam()
     # Transport coefficient a + b (1 - chi_1): positive unless the water is a vacuum.
-    spread = jnp.maximum(water.c_star - water.bg_star, float(np.finfo(a.dtype).tiny) ** 0.5)
+    spread = jnp.maximum(c_star - water.bg_star, float(np.finfo(a.dtype).tiny) ** 0.5)
     squared = 3.0 * a * spread
     if scene.floor is not None:
         # Over a floor the light field is regular in K^2 while the root's slope at 0 is infinite: a
@@ -107,13 +109,13 @@ def solve(scene: Scene) -> Field:
         least = 2e-14 if a.dtype == jnp.float64 else 1e-9
         squared = squared + jax.lax.stop_gradient(jnp.maximum(least - squared, 0.0))
     K = safe_sqrt(squared)
-    k0 = water.c_star / mu0
+    k0 = c_star / mu0
     ratio = K / (3.0 * spread)
-    drive = -3.0 * beam * (water.b_star * water.c_star + water.bg_star * a)
+    drive = -3.0 * beam * (water.b_star * c_star + water.bg_star * a)
     mixed = drive / jnp.maximum(k0 + K, float(np.finfo(a.dtype).tiny) ** 0.5)
     # ws F0/k0 and N/k0 with the common factor c* cancelled: c* may be 0.
-    empty = water.c_star <= 0
-    per_k0 = mu0 * jnp.where(empty, 0.0, 1.0 / jnp.where(empty, 1.0, water.c_star))
+    empty = c_star <= 0
+    per_k0 = mu0 * jnp.where(empty, 0.0, 1.0 / jnp.where(empty, 1.0, c_star))
     flux_beam = -ratio * mixed * per_k0 - water.b_star * beam * per_k0
 
     dtype = a.dtype
@@ -135,9 +137,8 @@ def solve(scene: Scene) -> Field:
             scene.floor, K, k0, mu0, ratio, spread, beam, mixed, flux_beam, top_e, top_f, entering
         )
     return Field(
-        water=water,
+        water,
         K=K,
-        k0=k0,
         mu0=mu0,
         beam=beam,
         e=Terms(decaying, None, mixed, None if growing is None else 3.0 * spread * growing),
