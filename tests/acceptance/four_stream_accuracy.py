@@ -3,8 +3,8 @@
     python -m tests.acceptance.four_stream_accuracy
 
 Prints the table and writes four_stream_accuracy.md beside this file.  Seeded.  Waters: albedo 0.2
-to 0.98, Henyey-Greenstein 0.8 to 0.95, sun 0 to 60 degrees in air, n = 1.34; deep, or over a floor of
-reflectance 0.3 at 2 to 8 optical depths; radiance at 0.5 to 6 optical depths, irradiance to the
+to 0.98, Henyey-Greenstein 0.8 to 0.95, sun 0 to 60 degrees in air, n = 1.34; deep, or over a floor
+of reflectance 0.3 at 2 to 8 optical depths; radiance at 0.5 to 7 optical depths, irradiance to the
 1 % level.
 """
 
