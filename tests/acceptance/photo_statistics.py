@@ -147,7 +147,11 @@ def truths(count: int, seed: int) -> np.ndarray:
 
 
 def bayesian_bound(x: np.ndarray, step: float = 1e-5):
-    """(draw, unknown) and (draw, quantity) bounds on sd, by central finite differences."""
+    """(draw, unknown) and (draw, quantity): bounds on sd, and how far the priors pull from x.
+
+    By central finite differences.  The pull is what the best linear estimate errs by on average:
+    the constituents are those of one coast, not draws from priors decades wide.
+    """
     parameters = problem()[0]
     forward = programs()[0]
     seen = by_chunks(forward, x)[0]
@@ -162,18 +166,22 @@ def bayesian_bound(x: np.ndarray, step: float = 1e-5):
     prior = np.asarray(parameters.prior().weight) ** 2
     best = np.linalg.inv(information + np.diag(prior))
     slope = np.stack(of_quantities, axis=-1)
+    pull = np.einsum("dij,dj->di", best, prior * (np.asarray(parameters.prior().centre) - x))
     return (
         np.sqrt(np.einsum("dii->di", best)),
         np.sqrt(np.einsum("dqi,dij,dqj->dq", slope, best, slope)),
+        pull,
+        np.einsum("dqi,di->dq", slope, pull),
     )
 
 
 def matched(count: int = DRAWS, seed: int = 11):
-    """By name: errors (ln), bounds and reported sd, each (draw,); and the share that converged."""
+    """By name: errors (ln), bounds, reported sd and the priors' pull, each (draw,); and the share
+    that converged."""
     x = truths(count, seed)
     exact, logs = by_chunks(programs()[0], x)
     noise = np.random.default_rng(seed + 1).standard_normal(exact.shape)
-    best, best_quantities = bayesian_bound(x)
+    best, best_quantities, pull, pull_quantities = bayesian_bound(x)
     found, code, cov, _, log_found, slope = fit_all(
         exact * (1 + NOISE * noise), np.full(count, SUN)
     )
@@ -183,17 +191,23 @@ def matched(count: int = DRAWS, seed: int = 11):
     rows = {}
     for name in COAST:
         i = names.index(name)
-        rows[name] = (found[:, i] - x[:, i], best[:, i], sd[:, i])
+        rows[name] = (found[:, i] - x[:, i], best[:, i], sd[:, i], pull[:, i])
     for q, name in enumerate(QUANTITIES):
-        rows[name] = (log_found[:, q] - logs[:, q], best_quantities[:, q], sd_quantities[:, q])
+        rows[name] = (
+            log_found[:, q] - logs[:, q],
+            best_quantities[:, q],
+            sd_quantities[:, q],
+            pull_quantities[:, q],
+        )
     return rows, float(np.mean(code == 0))
 
 
-def summary(error, best, sd) -> dict[str, float]:
+def summary(error, best, sd, pull) -> dict[str, float]:
     """The numbers of one row."""
     out = {
         "sd": float(np.std(error / best, ddof=1)),
         "bias": float(np.mean(error / best)),
+        "pull": float(np.mean(pull / best)),
         "reported": float(np.median(sd / best)),
         "relative": float(np.median(best)),
     }
@@ -210,14 +224,15 @@ def matched_table(count: int = DRAWS) -> str:
         "# Photo fit, matched model\n",
         f"`python -m tests.acceptance.photo_statistics matched`: {count} draws, converged "
         f"{converged:.3f}.  Errors are of logarithms, in units of the bound.\n",
-        f"| | bound (relative) | sd / bound | bias / bound | reported sd / bound | {heads[0]} | "
-        f"{heads[1]} |",
-        "|---|---|---|---|---|---|---|",
+        f"| | bound (relative) | sd / bound | bias / bound | of it the priors' pull | "
+        f"reported sd / bound | {heads[0]} | {heads[1]} |",
+        "|---|---|---|---|---|---|---|---|",
     ]
     for name, row in rows.items():
         s = summary(*row)
         lines.append(
             f"| {name} | {s['relative']:.3f} | {s['sd']:.3f} | {s['bias']:+.3f} | "
+            f"{s['pull']:+.3f} | "
             f"{s['reported']:.3f} | {s['coverage 0.68']:.3f} | {s['coverage 0.95']:.3f} |"
         )
     return "\n".join(lines)
