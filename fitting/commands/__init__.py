@@ -1,0 +1,1 @@
+"""The commands of `oceaninv`, one module per job."""

@@ -1,0 +1,81 @@
+"""What the commands share: options, tables and the writing of results."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+if TYPE_CHECKING:
+    from fitting.posterior import Fit
+
+Output = Annotated[
+    Path | None,
+    typer.Option("--output", "-o", help="Stem of the files to write: STEM.nc and STEM.png."),
+]
+SolarZenith = Annotated[
+    float | None, typer.Option(help="Sun zenith angle in air, degrees; unknown if not given.")
+]
+
+
+def status(text: str):
+    """A spinner on stderr while something runs."""
+    from rich.console import Console
+
+    return Console(stderr=True).status(text)
+
+
+def print_water(fit: "Fit") -> None:
+    """Constituents and quantities with intervals, and what they lean on."""
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table(title=f"Water by {fit.metadata['transport']}", title_justify="left")
+    for name in ("quantity", "unit", "value", "95 % interval"):
+        table.add_column(name, justify="left" if name in ("quantity", "unit") else "right")
+    leans = Table(title="Shift of the value per sd of an assumption", title_justify="left")
+    leans.add_column("quantity")
+    leans.add_column("leans most on", overflow="fold")
+    for name, quantity in fit.quantities.items():
+        if quantity.value.ndim == 0:
+            low, high = quantity.interval(0.95, fit.dof)
+            known = bool(quantity.sd <= 0.5)
+            table.add_row(name, quantity.unit, *shown(float(quantity.value), low, high, known))
+            leans.add_row(name, _leaning(fit, name))
+    for parameter in fit.parameters:
+        if not parameter.nuisance:
+            name = parameter.name
+            low, high = fit.interval(name)
+            known = fit.identifiable[name]
+            table.add_row(name, parameter.unit, *shown(fit.value[name], low, high, known))
+            leans.add_row(name, _leaning(fit, name))
+    Console().print(table, leans)
+    print(f"search: {fit.result}")
+
+
+def shown(value, low, high, known: bool) -> tuple[str, str]:
+    """Value and interval as text; no bare number for what is not identifiable."""
+    best = f"{value:.3g}" if known else "not identifiable"
+    return best, f"{low:.3g} - {high:.3g}"
+
+
+def _leaning(fit: "Fit", name: str) -> str:
+    shifts = sorted(fit.sensitivity[name].items(), key=lambda item: -abs(item[1]))[:2]
+    return ", ".join(f"{key} {100 * shift:+.0f} %" for key, shift in shifts)
+
+
+def finish(stem: Path, write_data, write_picture) -> None:
+    """Write STEM.nc and STEM.png."""
+    data, image = stem.with_name(stem.name + ".nc"), stem.with_name(stem.name + ".png")
+    write_data(data)
+    write_picture(image)
+    print(f"wrote {data} and {image}")
+
+
+def preload() -> None:
+    """Import what the results are written with while the compiler keeps the other core busy."""
+    import threading
+
+    def load():
+        import xarray  # noqa: F401
+
+    threading.Thread(target=load, daemon=True).start()
