@@ -4,7 +4,7 @@ Constituents -> inherent optical properties -> light field -> what a sensor saw:
 pure, jit-able, differentiable JAX function.
 """
 
-from oceaninv import attenuation, media, mie, particles, phase, spectrum, tables, water
+from oceaninv import attenuation, media, mie, objects, particles, phase, spectrum, tables, water
 from oceaninv.bio_optics import (
     CDOM,
     BioOpticalModel,
@@ -17,7 +17,8 @@ from oceaninv.bio_optics import (
 )
 from oceaninv.camera import Camera
 from oceaninv.iops import IOPs, Layers
-from oceaninv.light import Light
+from oceaninv.light import Light, PointLamp, SpotLamp
+from oceaninv.objects import Box, HeightField, Sphere
 from oceaninv.optics import Rays
 from oceaninv.scene import FlatSurface, Floor, Scene
 from oceaninv.transport.base import Estimate, Irradiance
@@ -30,6 +31,7 @@ from oceaninv.transport.two_stream import TwoStream
 __all__ = [
     "CDOM",
     "BioOpticalModel",
+    "Box",
     "Camera",
     "Constituents",
     "Detritus",
@@ -37,6 +39,7 @@ __all__ = [
     "FlatSurface",
     "Floor",
     "FourStream",
+    "HeightField",
     "IOPs",
     "Irradiance",
     "KdTransport",
@@ -45,8 +48,11 @@ __all__ = [
     "Minerals",
     "Phytoplankton",
     "PlaneParallel",
+    "PointLamp",
     "Rays",
     "Scene",
+    "Sphere",
+    "SpotLamp",
     "TwoStream",
     "attenuation",
     "gutierrez2008",
@@ -54,6 +60,7 @@ __all__ = [
     "jerlov",
     "media",
     "mie",
+    "objects",
     "particles",
     "phase",
     "photograph",

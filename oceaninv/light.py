@@ -1,7 +1,10 @@
-"""Sun and sky above the surface."""
+"""Sun and sky above the surface; lamps in the water."""
+
+import abc
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from oceaninv.iops import check_concrete
@@ -42,3 +45,75 @@ class Light(eqx.Module):
     def cosine(self) -> Float[Array, ""]:
         """Cosine of the sun zenith angle."""
         return jnp.cos(jnp.deg2rad(self.zenith))
+
+
+class AbstractLamp(eqx.Module):
+    """A small lamp in the water.  Subclasses are final."""
+
+    position: eqx.AbstractVar[Float[Array, "3"]]
+    intensity: eqx.AbstractVar[Float[Array, " wl"]]
+
+    @abc.abstractmethod
+    def along(self, direction: Float[Array, "3"]) -> Float[Array, " wl"]:
+        """Radiant intensity (W sr-1 nm-1) that leaves the lamp along a unit vector."""
+
+
+class PointLamp(AbstractLamp):
+    """A lamp that shines alike in all directions.
+
+    - `position`: (3,) metres, z the depth.
+    - `intensity`: (wl,) W sr-1 nm-1: the irradiance across its light at r metres is
+      intensity e^(-c r)/r^2.
+    """
+
+    position: Float[Array, "3"]
+    intensity: Float[Array, " wl"]
+
+    def __init__(self, position, intensity):
+        self.position, self.intensity = _lamp(position, intensity)
+
+    def along(self, direction: Float[Array, "3"]) -> Float[Array, " wl"]:
+        """See `AbstractLamp`."""
+        return self.intensity
+
+
+class SpotLamp(AbstractLamp):
+    """A lamp that shines evenly into a cone and not beside it.
+
+    - `position`: (3,) metres; `direction`: (3,) the way it shines, of any length.
+    - `half_angle`: from the axis to the edge of the cone, degrees, 0 < half_angle <= 90.
+    - `intensity`: (wl,) W sr-1 nm-1 within the cone.
+    """
+
+    position: Float[Array, "3"]
+    direction: Float[Array, "3"]
+    half_angle: Float[Array, ""]
+    intensity: Float[Array, " wl"]
+
+    def __init__(self, position, direction, half_angle, intensity):
+        check_concrete("half_angle", half_angle, 1e-3, 90.0)
+        self.position, self.intensity = _lamp(position, intensity)
+        direction = jnp.asarray(direction, dtype=self.intensity.dtype)
+        if direction.shape != (3,):
+            raise ValueError(f"direction must be three numbers, not {direction.shape}.")
+        length = jnp.sqrt(jnp.sum(direction**2))
+        check_concrete("the length of direction", length, float(np.finfo(np.float32).tiny))
+        self.direction = direction / length
+        self.half_angle = jnp.asarray(half_angle, dtype=self.intensity.dtype)
+
+    def along(self, direction: Float[Array, "3"]) -> Float[Array, " wl"]:
+        """See `AbstractLamp`."""
+        lit = jnp.dot(self.direction, direction) >= jnp.cos(jnp.deg2rad(self.half_angle))
+        return jnp.where(lit, self.intensity, 0.0)
+
+
+def _lamp(position, intensity):
+    check_concrete("intensity", intensity)
+    intensity = jnp.asarray(intensity)
+    if intensity.ndim != 1:
+        raise ValueError(f"intensity must have shape (wl,), not {intensity.shape}.")
+    check_concrete("position", position, -np.inf)
+    position = jnp.asarray(position, dtype=intensity.dtype)
+    if position.shape != (3,):
+        raise ValueError(f"position must be three numbers x, y, z in metres, not {position.shape}.")
+    return position, intensity

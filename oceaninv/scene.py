@@ -7,7 +7,8 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from oceaninv.iops import IOPs, Layers, check_concrete
-from oceaninv.light import Light
+from oceaninv.light import AbstractLamp, Light
+from oceaninv.objects import AbstractObject
 from oceaninv.optics import fresnel_from_air, refracted_cosine
 
 
@@ -41,7 +42,7 @@ class Floor(eqx.Module):
 
 
 class Scene(eqx.Module):
-    """Horizontally uniform water under a sun, with or without a surface and a floor.
+    """Horizontally uniform water under a sun, and what is in it.
 
     **Arguments:**
 
@@ -49,20 +50,28 @@ class Scene(eqx.Module):
     - `light`: the sun and sky; its spectra are on the water's wavelengths.
     - `surface`: `FlatSurface` or `None` (light enters unrefracted, nothing is reflected back).
     - `floor`: `Floor` or `None` (endlessly deep water).
+    - `objects`: solids, `Sphere`, `Box` or `HeightField`, under the surface.
+    - `lamps`: `PointLamp` or `SpotLamp`, in the water.
 
-    Spectra whose length differs from the water's wavelengths raise ValueError.
+    Spectra whose length differs from the water's wavelengths raise ValueError, as do things out
+    of the water.
     """
 
     water: IOPs | Layers
     light: Light
     surface: FlatSurface | None
     floor: Floor | None
+    objects: tuple[AbstractObject, ...]
+    lamps: tuple[AbstractLamp, ...]
 
-    def __init__(self, water, light, surface=None, floor=None):
+    def __init__(self, water, light, surface=None, floor=None, objects=(), lamps=()):
         n = len(water.wavelength)
+        objects, lamps = tuple(objects), tuple(lamps)
         for name, value in (
             ("light.direct", light.direct),
             ("floor.reflectance", None if floor is None else floor.reflectance),
+            *((f"objects[{i}].reflectance", thing.reflectance) for i, thing in enumerate(objects)),
+            *((f"lamps[{i}].intensity", lamp.intensity) for i, lamp in enumerate(lamps)),
         ):
             if value is not None and value.shape != (n,):
                 raise ValueError(
@@ -73,6 +82,25 @@ class Scene(eqx.Module):
         self.light = light
         self.surface = surface
         self.floor = floor
+        self.objects = objects
+        self.lamps = lamps
+        for i, thing in enumerate(objects):
+            self._check_extent(f"objects[{i}]", *thing.extent())
+        for i, lamp in enumerate(lamps):
+            self._check_extent(f"lamps[{i}]", lamp.position[2], lamp.position[2])
+
+    def _check_extent(self, name: str, top, bottom) -> None:
+        """ValueError if a concrete thing is out of the water; one may be partly buried."""
+        bounds = (top, bottom, None if self.floor is None else self.floor.depth)
+        if any(isinstance(bound, jax.core.Tracer) for bound in bounds):
+            return
+        if float(top) < 0:
+            raise ValueError(f"{name} reaches {-float(top):g} m above the surface (depth 0).")
+        if self.floor is not None and float(top) >= float(self.floor.depth):
+            raise ValueError(
+                f"{name} begins at {float(top):g} m, below the floor at "
+                f"{float(self.floor.depth):g} m."
+            )
 
     @property
     def wavelength(self) -> np.ndarray:

@@ -14,7 +14,7 @@ FLOORS = (
     {"tables"},
     {"phase", "mie"},
     {"iops", "particles", "water", "spectrum", "attenuation"},
-    {"bio_optics", "media", "inelastic", "light", "optics", "camera"},
+    {"bio_optics", "media", "inelastic", "light", "optics", "camera", "objects"},
     {"scene"},
     {"transport"},
     {"fidelity"},

@@ -1,6 +1,7 @@
 """What every transport answers, and in which form."""
 
 import abc
+from typing import ClassVar
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -53,7 +54,11 @@ class AbstractTransport(eqx.Module):
 
     Subclasses are final; call them through the front ends `radiance`, `irradiance` and
     `photograph`, which check their input.
+
+    `sees_things`: whether it honours the objects and lamps of a scene by itself.
     """
+
+    sees_things: ClassVar[bool] = False
 
     @abc.abstractmethod
     def radiance(self, scene: Scene, rays: Rays, key: Key[Array, ""] | None) -> Estimate:

@@ -37,7 +37,7 @@ def radiance(
         lengths = np.asarray(rays.length)
         if not np.all(lengths > 0):
             raise ValueError(f"rays.length must be positive; the least is {lengths.min():g} m.")
-    return _default(transport).radiance(scene, rays, key)
+    return _able(scene, transport).radiance(scene, rays, key)
 
 
 def irradiance(
@@ -50,7 +50,7 @@ def irradiance(
     """
     depths = jnp.atleast_1d(jnp.asarray(depths, dtype=scene.light.direct.dtype))
     scene.check_depths(depths)
-    return _default(transport).irradiance(scene, depths, key)
+    return _able(scene, transport).irradiance(scene, depths, key)
 
 
 def photograph(
@@ -72,5 +72,12 @@ def photograph(
     )
 
 
-def _default(transport: AbstractTransport | None) -> AbstractTransport:
-    return TwoStream() if transport is None else transport
+def _able(scene: Scene, transport: AbstractTransport | None) -> AbstractTransport:
+    """The transport, `TwoStream()` unless given; ValueError if it cannot see what is there."""
+    transport = TwoStream() if transport is None else transport
+    if (scene.objects or scene.lamps) and not transport.sees_things:
+        raise ValueError(
+            f"{type(transport).__name__} knows no objects and no lamps: take MonteCarlo, or leave "
+            "them out and give rays the length at which an object ends them."
+        )
+    return transport
