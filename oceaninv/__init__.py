@@ -15,12 +15,13 @@ from oceaninv.bio_optics import (
     gutierrez2008,
     jerlov,
 )
-from oceaninv.camera import Camera
+from oceaninv.camera import Camera, Sensor
 from oceaninv.iops import IOPs, Layers
 from oceaninv.light import Light, PointLamp, SpotLamp
 from oceaninv.objects import Box, HeightField, Sphere
 from oceaninv.optics import Rays
 from oceaninv.scene import FlatSurface, Floor, Scene
+from oceaninv.scene_file import SceneFile, load_scene
 from oceaninv.transport.base import Estimate, Irradiance
 from oceaninv.transport.four_stream import FourStream
 from oceaninv.transport.front import irradiance, photograph, radiance
@@ -51,6 +52,8 @@ __all__ = [
     "PointLamp",
     "Rays",
     "Scene",
+    "SceneFile",
+    "Sensor",
     "Sphere",
     "SpotLamp",
     "TwoStream",
@@ -58,6 +61,7 @@ __all__ = [
     "gutierrez2008",
     "irradiance",
     "jerlov",
+    "load_scene",
     "media",
     "mie",
     "objects",

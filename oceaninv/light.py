@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from oceaninv import tables
 from oceaninv.iops import check_concrete
 
 
@@ -45,6 +46,53 @@ class Light(eqx.Module):
     def cosine(self) -> Float[Array, ""]:
         """Cosine of the sun zenith angle."""
         return jnp.cos(jnp.deg2rad(self.zenith))
+
+
+def clear_sky(
+    wavelength: tables.Wavelengths,
+    zenith: float | int,
+    aerosol: float | int = 0.1,
+    water_vapour: float | int = 1.5,
+    ozone: float | int = 0.3,
+) -> tuple[Float[np.ndarray, " wl"], Float[np.ndarray, " wl"]]:
+    """Sun and sky of a cloudless day at sea level, for `Light(zenith, direct, diffuse)`.
+
+    **Arguments:** `wavelength`: nm, concrete, 300 to 4000; `zenith`: degrees, 0 to 85; `aerosol`:
+    optical depth at 500 nm; `water_vapour`: cm of precipitable water; `ozone`: atm cm.
+
+    **Returns:** irradiance of the sunbeam across itself, W m-2 nm-1, and the radiance of a uniform
+    sky with the same horizontal irradiance, W m-2 sr-1 nm-1; at the mean distance of the sun.
+
+    **Raises:** `ValueError` out of range, `ImportError` without pvlib (the extra `sky`).
+
+    Source: Bird & Riordan 1986 (SPECTRL2), through pvlib.
+    """
+    wavelength = tables.check_wavelength(wavelength)
+    check_concrete("zenith", zenith, 0.0, 85.0)
+    if wavelength[0] < 300 or wavelength[-1] > 4000:
+        raise ValueError("a clear sky covers 300-4000 nm; the wavelengths reach beyond.")
+    try:
+        from pvlib.atmosphere import get_relative_airmass
+        from pvlib.spectrum import spectrl2
+    except ImportError:
+        raise ImportError('a clear sky needs pvlib: pip install "oceaninv[sky]".') from None
+
+    found = spectrl2(
+        apparent_zenith=float(zenith),
+        aoi=float(zenith),
+        surface_tilt=0.0,
+        ground_albedo=0.06,  # of the sea
+        surface_pressure=101325.0,
+        relative_airmass=get_relative_airmass(float(zenith)),
+        precipitable_water=float(water_vapour),
+        ozone=float(ozone),
+        aerosol_turbidity_500nm=float(aerosol),
+        dayofyear=94,  # the sun at its mean distance
+    )
+    grid = found["wavelength"]
+    direct, diffuse = (np.ravel(found[name]) for name in ("dni", "poa_sky_diffuse"))
+    sky = np.interp(wavelength, grid, diffuse) / np.pi
+    return np.interp(wavelength, grid, direct), sky
 
 
 class AbstractLamp(eqx.Module):

@@ -1,5 +1,6 @@
 """From spectra to channels: bands, camera responses, the standard observer, daylight."""
 
+import re
 from typing import Any
 
 import jax.numpy as jnp
@@ -226,3 +227,34 @@ def to_srgb(xyz: ArrayLike) -> Float[np.ndarray, "*image 3"]:
     if xyz.ndim == 0 or xyz.shape[-1] != 3:
         raise ValueError(f"xyz must end in an axis of 3 (X, Y, Z), but has shape {xyz.shape}.")
     return np.clip(_colour().XYZ_to_sRGB(xyz), 0.0, 1.0)
+
+
+def colour_checker(patch: str, wavelength: tables.Wavelengths) -> Float[np.ndarray, " wl"]:
+    """Reflectance of one of the 24 patches of a ColorChecker, 380-780 nm by 5 nm.
+
+    **Arguments:** `patch`: its name, such as "dark skin", "neutral 5" or "white"; `wavelength`:
+    nm, concrete.
+
+    **Raises:** `ValueError` with the near names for an unknown patch, and outside the range.
+
+    Source: Ohta 1997, through colour-science.
+
+    >>> colour_checker("white", [550.0]).round(2)
+    array([0.89])
+    """
+    wavelength = tables.check_wavelength(wavelength)
+    # "neutral 8 (.23 D)" is neutral 8, "white 9.5 (.05 D)" is white.
+    chart = {
+        re.sub(r" \(.*|(?<=white|black) .*", "", name): values
+        for name, values in _colour().SDS_COLOURCHECKERS["cc_ohta"].items()
+    }
+    if patch not in chart:
+        raise tables.unknown("ColorChecker patch", patch, chart)
+    values = chart[patch]
+    low, high = values.wavelengths[0], values.wavelengths[-1]
+    if wavelength[0] < low or wavelength[-1] > high:
+        raise ValueError(
+            f"The ColorChecker covers {low:g}-{high:g} nm, but the wavelengths run from"
+            f" {wavelength[0]:g} to {wavelength[-1]:g} nm."
+        )
+    return np.interp(wavelength, values.wavelengths, values.values)

@@ -15,7 +15,7 @@ FLOORS = (
     {"phase", "mie"},
     {"iops", "particles", "water", "spectrum", "attenuation"},
     {"bio_optics", "media", "inelastic", "light", "optics", "camera", "objects"},
-    {"scene"},
+    {"scene", "scene_file", "water_file"},
     {"transport"},
     {"fidelity"},
     {"__init__"},
@@ -31,6 +31,7 @@ HEAVY = (
     "skimage",
     "typer",
     "rich",
+    "pvlib",
 )
 
 
