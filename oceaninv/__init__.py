@@ -4,7 +4,18 @@ Constituents -> inherent optical properties -> light field -> what a sensor saw:
 pure, jit-able, differentiable JAX function.
 """
 
-from oceaninv import attenuation, media, mie, objects, particles, phase, spectrum, tables, water
+from oceaninv import (
+    attenuation,
+    inelastic,
+    media,
+    mie,
+    objects,
+    particles,
+    phase,
+    spectrum,
+    tables,
+    water,
+)
 from oceaninv.bio_optics import (
     CDOM,
     BioOpticalModel,
@@ -16,6 +27,7 @@ from oceaninv.bio_optics import (
     jerlov,
 )
 from oceaninv.camera import Camera, Sensor
+from oceaninv.inelastic import CDOMFluorescence, ChlorophyllFluorescence, Inelastic, Raman
 from oceaninv.iops import IOPs, Layers
 from oceaninv.light import Light, PointLamp, SpotLamp
 from oceaninv.objects import Box, HeightField, Sphere
@@ -33,7 +45,9 @@ __all__ = [
     "CDOM",
     "BioOpticalModel",
     "Box",
+    "CDOMFluorescence",
     "Camera",
+    "ChlorophyllFluorescence",
     "Constituents",
     "Detritus",
     "Estimate",
@@ -42,6 +56,7 @@ __all__ = [
     "FourStream",
     "HeightField",
     "IOPs",
+    "Inelastic",
     "Irradiance",
     "KdTransport",
     "Layers",
@@ -50,6 +65,7 @@ __all__ = [
     "Phytoplankton",
     "PlaneParallel",
     "PointLamp",
+    "Raman",
     "Rays",
     "Scene",
     "SceneFile",
@@ -59,6 +75,7 @@ __all__ = [
     "TwoStream",
     "attenuation",
     "gutierrez2008",
+    "inelastic",
     "irradiance",
     "jerlov",
     "load_scene",

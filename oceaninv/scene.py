@@ -6,6 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from oceaninv.inelastic import Inelastic
 from oceaninv.iops import IOPs, Layers, check_concrete
 from oceaninv.light import AbstractLamp, Light
 from oceaninv.objects import AbstractObject
@@ -52,6 +53,7 @@ class Scene(eqx.Module):
     - `floor`: `Floor` or `None` (endlessly deep water).
     - `objects`: solids, `Sphere`, `Box` or `HeightField`, under the surface.
     - `lamps`: `PointLamp` or `SpotLamp`, in the water.
+    - `inelastic`: `Inelastic` processes, or `None`.
 
     Spectra whose length differs from the water's wavelengths raise ValueError, as do things out
     of the water.
@@ -63,8 +65,11 @@ class Scene(eqx.Module):
     floor: Floor | None
     objects: tuple[AbstractObject, ...]
     lamps: tuple[AbstractLamp, ...]
+    inelastic: Inelastic | None
 
-    def __init__(self, water, light, surface=None, floor=None, objects=(), lamps=()):
+    def __init__(
+        self, water, light, surface=None, floor=None, objects=(), lamps=(), inelastic=None
+    ):
         n = len(water.wavelength)
         objects, lamps = tuple(objects), tuple(lamps)
         for name, value in (
@@ -84,6 +89,7 @@ class Scene(eqx.Module):
         self.floor = floor
         self.objects = objects
         self.lamps = lamps
+        self.inelastic = inelastic
         for i, thing in enumerate(objects):
             self._check_extent(f"objects[{i}]", *thing.extent())
         for i, lamp in enumerate(lamps):

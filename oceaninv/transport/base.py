@@ -56,9 +56,11 @@ class AbstractTransport(eqx.Module):
     `photograph`, which check their input.
 
     `sees_things`: whether it honours the objects and lamps of a scene by itself.
+    `inelastic`: whether it honours its inelastic processes.
     """
 
     sees_things: ClassVar[bool] = False
+    inelastic: ClassVar[bool] = False
 
     @abc.abstractmethod
     def radiance(self, scene: Scene, rays: Rays, key: Key[Array, ""] | None) -> Estimate:

@@ -80,4 +80,9 @@ def _able(scene: Scene, transport: AbstractTransport | None) -> AbstractTranspor
             f"{type(transport).__name__} knows no objects and no lamps: take MonteCarlo, or leave "
             "them out and give rays the length at which an object ends them."
         )
+    if scene.inelastic is not None and not transport.inelastic:
+        raise ValueError(
+            f"{type(transport).__name__} knows no inelastic processes: take PlaneParallel or "
+            "MonteCarlo, or a Scene without inelastic."
+        )
     return transport

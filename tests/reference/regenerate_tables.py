@@ -7,6 +7,7 @@ Not needed at run time: the tables are part of the package.
 """
 
 import csv
+import json
 import sys
 from pathlib import Path
 
@@ -380,8 +381,47 @@ def cameras(folder):
     )
 
 
+def inelastic(folder):
+    """Raman shift of water and fluorescence of CDOM."""
+    text = (SOURCE / "fluorescence_raman_parameters.json").read_text(encoding="utf-8")
+    source = json.loads(text)
+    cdom = source["cdom_fluorescence_hawes1992_FA7"]
+    write(
+        folder,
+        "Hawes1992",
+        {
+            "title": "Fluorescence of coloured dissolved organic matter, sample FA7",
+            "citation": "Hawes, 1992, Quantum fluorescence efficiencies of marine fulvic and humic"
+            " acids, M.S. thesis, University of South Florida; fulvic acid of the West Florida"
+            " shelf, as tabulated in Mobley, 1994, Light and Water, section 5.15",
+            "units": "wavelength=nm, A0=1/nm",
+            "range": "310-490 nm",
+            "note": "A0 by wavelength of excitation w; photons per photon absorbed and nm of"
+            " emission: A0 exp(-[(1/v - A1/w - B1)/(0.6 (A2/w + B2))]^2) at emission v > w,"
+            " A1 = 0.470, A2 = 0.407, B1 = 8.077e-4 1/nm, B2 = -4.57e-4 1/nm; another"
+            " transcription has 5.81e-5 at 310 and 9.24e-5 at 490 nm",
+        },
+        {"wavelength": cdom["excitation_nm"], "A0": cdom["A0_per_nm"]},
+    )
+    raman = source["raman_water"]["redistribution"]
+    write(
+        folder,
+        "Walrafen1967",
+        {
+            "title": "Raman shift of liquid water, four Gaussian components",
+            "citation": "Walrafen, 1967, Journal of Chemical Physics 47:114-126, at 25 degC, as"
+            " used by Haltrin & Kattawar, 1993, Applied Optics 32:5356-5367",
+            "units": "shift=1/cm, weight=1, width=1/cm",
+            "range": "3250-3625 1/cm",
+            "note": "shift and full width at half maximum of each component; weights as printed,"
+            " their sum is 1",
+        },
+        {"shift": raman["kappa_cm-1"], "weight": raman["A"], "width": raman["dkappa_fwhm_cm-1"]},
+    )
+
+
 def main(folder):
-    for chapter in (pure_water, constituents, water_types, cameras):
+    for chapter in (pure_water, constituents, inelastic, water_types, cameras):
         chapter(folder)
 
 
