@@ -29,11 +29,15 @@ class BandFit(eqx.Module):
 
 
 def thickness(depth, interfaces):
-    """(..., layer): how far above each `depth` (m) each layer reaches; their sum is the depth."""
-    edges = [0.0, *jnp.asarray(interfaces, depth.dtype)]
-    reaches = [jnp.maximum(depth - top, 0.0) for top in edges]
+    """(..., layer): how far above each `depth` (m) each layer reaches; their sum is the depth.
+
+    numpy in, numpy out.
+    """
+    xp = np if isinstance(depth, np.ndarray) else jnp
+    edges = [0.0, *xp.asarray(interfaces, depth.dtype)]
+    reaches = [xp.maximum(depth - top, 0.0) for top in edges]
     limits = [below - top for top, below in itertools.pairwise(edges)]
-    return jnp.stack([*map(jnp.minimum, reaches[:-1], limits), reaches[-1]], axis=-1)
+    return xp.stack([*map(xp.minimum, reaches[:-1], limits), reaches[-1]], axis=-1)
 
 
 @kept

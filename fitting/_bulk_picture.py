@@ -20,7 +20,7 @@ def draw_coefficients(data, residuals, fit: Fit) -> None:
         off = 100.0 * (seen.predicted[i] / seen.observed[i] - 1.0)
         spread = 100.0 * seen.sd[i] / seen.observed[i]
         residuals.errorbar(wavelength, off, spread, fmt="o-", ms=4, lw=0.8, color=colour)
-    data.set(xlabel="wavelength (nm)", ylabel="coefficient (m$^{-1}$)", yscale="log")
+    data.set(xlabel="wavelength (nm)", ylabel="coefficient (m⁻¹)", yscale="log")
     data.set_title("measured (dots) and fitted (lines)", fontsize=10)
     data.legend(frameon=False, fontsize=9)
     residuals.axhline(0.0, lw=0.8, color="0.5")

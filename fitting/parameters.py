@@ -130,11 +130,12 @@ class Parameters(tuple[Parameter, ...]):
     def prior(self) -> Prior:
         """Centres and spreads as arrays; the search starts at the centres."""
         spreads = [p.spread for p in self]
-        return Prior(
-            jnp.asarray([p.transform.coordinate(p.centre) for p in self], dtype=float),
-            jnp.asarray([0.0 if s is None else 1.0 / s for s in spreads], dtype=float),
-            jnp.asarray([1.0 if s is None else s for s in spreads], dtype=float),
+        rows = (
+            [p.transform.coordinate(p.centre) for p in self],
+            [0.0 if s is None else 1.0 / s for s in spreads],
+            [1.0 if s is None else s for s in spreads],
         )
+        return Prior(*jax.device_put([np.asarray(row, dtype=float) for row in rows]))
 
     def layout(self) -> "Parameters":
         """Names and transforms alone: what a compiled program depends on."""

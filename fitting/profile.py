@@ -1,6 +1,7 @@
 """Depth profiles of irradiance to Kd(wl), and to constituents."""
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
@@ -77,21 +78,23 @@ def _fit_profile_bands(profile: Profile, mask: np.ndarray, interfaces: np.ndarra
     size = _padded(len(profile.depth))
     bands = len(profile.wavelength)
     depth = np.broadcast_to(profile.depth, (bands, len(profile.depth)))
-    sigma = None if profile.sigma is None else jnp.asarray(_pad(profile.sigma.T, size, 1.0))
+    sigma = None if profile.sigma is None else _pad(profile.sigma.T, size, 1.0)
     values = np.where(profile.mask, profile.Ed, 1.0)
-    return fit_bands(
-        jnp.asarray(_pad(depth, size, 0.0)),
-        jnp.asarray(_pad(values.T, size, 1.0)),
+    cast = (
+        _pad(depth, size, 0.0),
+        _pad(values.T, size, 1.0),
         sigma,
-        jnp.asarray(profile.floor),
-        jnp.asarray(_pad(mask.T, size, False)),
-        jnp.asarray(interfaces) if interfaces.size else None,
+        profile.floor,
+        _pad(mask.T, size, False),
+        interfaces if interfaces.size else None,
     )
+    # device_put, unlike jnp.asarray, compiles nothing.
+    return fit_bands(*jax.device_put(cast))
 
 
 def _band_model(x: np.ndarray, depth: np.ndarray, interfaces: np.ndarray) -> np.ndarray:
     """(depth, wl) irradiance of band fits `x` (wl, 1 + layer)."""
-    path = np.asarray(thickness(jnp.asarray(depth), interfaces))
+    path = thickness(depth, interfaces)
     return np.exp(x[None, :, 0] - path @ np.exp(x[:, 1:]).T)
 
 
@@ -140,7 +143,7 @@ def fit_profile(
         "depths_used": [int(n) for n in mask.sum(axis=0)],
         "deepest_used_m": [float(profile.depth[m].max()) for m in mask.T],
         "masked_values": profile.masked,
-        "relative_noise": [float(s) for s in bands.noise] if profile.sigma is None else "given",
+        "relative_noise": np.asarray(bands.noise).tolist() if profile.sigma is None else "given",
     }
     if transport is None:
         metadata["interfaces_m"] = interfaces.tolist()
@@ -165,7 +168,7 @@ def _kd_parameters(wavelength: np.ndarray, x: np.ndarray) -> Parameters:
 
 def _mean_kd(profile, mask, x, cov, interfaces) -> Quantity:
     """Kd from the shallowest to the deepest sample used, the mean over layers by thickness."""
-    path = np.asarray(thickness(jnp.asarray(profile.depth), interfaces))
+    path = thickness(profile.depth, interfaces)
     reach = np.array([path[m][-1] - path[m][0] for m in mask.T])
     parts = reach * np.exp(x[:, 1:])
     mean = parts.sum(axis=1) / reach.sum(axis=1)
@@ -301,7 +304,7 @@ def _constituent_fit(profile, mask, bands, transport, priors, metadata) -> Fit:
 
     def pad(array, fill):
         widths = [(0, extra)] + [(0, 0)] * (array.ndim - 1)
-        return jnp.asarray(np.pad(array, widths, constant_values=fill))
+        return jax.device_put(np.pad(array, widths, constant_values=fill))
 
     cast = _Cast(
         pad(profile.depth, 0.0),

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from fitting import _netcdf
 from fitting._bulk_picture import draw_coefficients
 from fitting.posterior import Fit, Quantity
 
@@ -49,6 +50,11 @@ def dataset(fit: Fit) -> "xarray.Dataset":
     """
     import xarray as xr
 
+    return xr.Dataset(*_content(fit))
+
+
+def _content(fit: Fit) -> tuple[dict, dict, dict]:
+    """(variables, coordinates, attributes) of `dataset`."""
     names = list(fit.parameters.names)
     low, high = np.array([fit.interval(name, LEVEL) for name in names]).T
     data: dict = {
@@ -111,26 +117,22 @@ def dataset(fit: Fit) -> "xarray.Dataset":
         coords["channel"] = np.array(["R", "G", "B"], dtype=str)
     if "coefficient" in predictive.axes:
         coords["coefficient"] = predictive.coords["coefficient"]
-    return xr.Dataset(
-        data,
-        coords,
-        {
-            "Conventions": "CF-1.11",
-            "title": "Fit of underwater light by oceaninv",
-            "result": fit.result,
-            "metadata": fit.metadata_json(),
-        },
-    )
+    attributes = {
+        "Conventions": "CF-1.11",
+        "title": "Fit of underwater light by oceaninv",
+        "result": fit.result,
+        "metadata": fit.metadata_json(),
+    }
+    return data, coords, attributes
 
 
 def save(path: str | Path, fit: Fit, constituents: Fit | None = None) -> None:
     """Write a fit as netCDF; a fit of constituents goes into the group "constituents"."""
     with whole(path) as temporary:
-        dataset(fit).to_netcdf(temporary, engine="h5netcdf")
+        temporary.unlink()  # the writer starts from nothing or from a netCDF file, not an empty one
+        _netcdf.write(temporary, *_content(fit))
         if constituents is not None:
-            dataset(constituents).to_netcdf(
-                temporary, engine="h5netcdf", mode="a", group="constituents"
-            )
+            _netcdf.write(temporary, *_content(constituents), group="constituents")
 
 
 def picture(fit: Fit, path: str | Path, constituents: Fit | None = None) -> None:
@@ -168,7 +170,7 @@ def _draw_profile(axes, fit: Fit) -> None:
         axes.plot(observed[kept], depth[kept], ".", ms=4, color=colour, alpha=0.55)
         label = f"{wavelength:g} nm" if len(fit.wavelength) <= 8 else None
         axes.plot(predicted[kept], depth[kept], "-", lw=1.4, color=colour, label=label)
-    axes.set(xscale="log", xlabel="Ed (W m$^{-2}$ nm$^{-1}$)", ylabel="depth (m)")
+    axes.set(xscale="log", xlabel="Ed (W m⁻² nm⁻¹)", ylabel="depth (m)")
     axes.set_ylim(depth[used].max() * 1.03, 0)
     axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
     axes.xaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
@@ -233,13 +235,15 @@ def _draw_spectra(axes, fit: Fit, constituents: Fit | None) -> None:
                 color=colour,
                 label=label,
             )
-    axes.set(xlabel="wavelength (nm)", ylabel="coefficient (m$^{-1}$)")
+    axes.set(xlabel="wavelength (nm)", ylabel="coefficient (m⁻¹)")
     axes.set_ylim(0, None)
     axes.set_title("attenuation with 95 % intervals", fontsize=10)
     axes.legend(frameon=False, fontsize=9)
 
 
 def _draw_unknowns(axes, fit: Fit) -> None:
+    from matplotlib.ticker import NullFormatter, StrMethodFormatter
+
     rows = [
         (
             f"{p.name} ({p.unit})",
@@ -263,6 +267,9 @@ def _draw_unknowns(axes, fit: Fit) -> None:
         text = label if known else f"{label}\nnot identifiable"
         axes.text(0.02, y + 0.16, text, fontsize=8, transform=axes.get_yaxis_transform())
     axes.set(xscale="log", yticks=[], ylim=(-0.5, len(rows)), xlabel="value (95 % interval)")
+    # Plain numbers: setting powers of ten as mathematics takes longer than the whole drawing.
+    axes.xaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
+    axes.xaxis.set_minor_formatter(NullFormatter())
     axes.set_title("water", fontsize=10)
 
 

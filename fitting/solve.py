@@ -7,7 +7,6 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-import optimistix as optx
 from jaxtyping import Array, Float, Int
 
 Residual = Callable[[Float[Array, " unknown"], Any], Float[Array, " residual"]]
@@ -34,38 +33,6 @@ class Optimum(eqx.Module):
     residual: Float[Array, " residual"]
     jacobian: Float[Array, "residual unknown"]
     code: Int[Array, ""]
-
-
-class _TrustRegion(optx.AbstractSearch):
-    """Longer steps after good ones, shorter after bad ones, as in `optx.ClassicalTrustRegion`.
-
-    Two differences.  Steps grow as soon as the linear model is roughly right: the valleys of these
-    problems are long and curved.  And a change of the sum below its rounding error counts as no
-    loss: otherwise the last steps are refused for ever and the search never ends.
-    """
-
-    def init(self, y, f_info_struct):
-        return jnp.ones((), y.dtype)
-
-    def step(self, first_step, y, y_eval, f_info, f_eval_info, state):
-        along = f_info.jac.mv(y_eval - y)
-        predicted = jnp.sum(along * (f_info.residual + 0.5 * along))
-        before = f_info.as_min()
-        change = f_eval_info.as_min() - before
-        rounding = 256.0 * jnp.finfo(y.dtype).eps * before
-        accept = first_step | (change <= 0.01 * predicted + rounding)
-        good = ~first_step & (change <= 0.75 * predicted + rounding)
-        step_size = state * jnp.where(accept, jnp.where(good, 5.0, 1.0), 0.25).astype(y.dtype)
-        return step_size, accept, optx.RESULTS.successful, step_size
-
-
-class _LevenbergMarquardt(optx.AbstractGaussNewton):
-    rtol: float = 1e-6
-    atol: float = 1e-6
-    norm: Callable = optx.max_norm
-    descent: optx.AbstractDescent = optx.DampedNewtonDescent()
-    search: optx.AbstractSearch = _TrustRegion()
-    verbose: Callable = lambda **_: None
 
 
 def _with_matrix(function: Residual) -> Residual:
@@ -113,6 +80,11 @@ def least_squares(
 
     Pure: jit and vmap it; a lane that fails carries a code instead of raising.
     """
+    # Stored programs need no solver, so a command that finds them is spared this import.
+    import optimistix as optx
+
+    from fitting._search import LevenbergMarquardt
+
     unit = jnp.ones_like(start) if scale is None else scale.astype(start.dtype)
 
     def misfit(u, args):
@@ -121,7 +93,7 @@ def least_squares(
 
     solution = optx.least_squares(
         _with_matrix(misfit),
-        _LevenbergMarquardt(),
+        LevenbergMarquardt(),
         jnp.zeros_like(start),
         (*jax.lax.stop_gradient((start, unit)), args),
         options={"jac": "fwd"},

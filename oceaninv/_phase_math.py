@@ -21,19 +21,25 @@ SMALLEST_ANGLE = 1e-5  # rad; what lies inside is counted as unscattered, error 
 _T, _W = gauss_legendre(5, 0.0, 1.0)
 
 
+def _space(x):
+    """The namespace that answers for x: numbers need no program to be compiled."""
+    return jnp if isinstance(x, jax.Array) else np
+
+
 def ff_phi(x, s):
-    """phi at ln(delta) = x and its derivative with respect to x."""
-    near = jnp.abs(x) < 0.5
-    small = jnp.where(near, x, 0.0)
+    """phi at ln(delta) = x and its derivative with respect to x; numpy in, numpy out."""
+    xp = _space(x)
+    near = xp.abs(x) < 0.5
+    small = xp.where(near, x, 0.0)
     # phi = s h(s x)/h(x) with h(y) = (e^y - 1)/y, whose logarithmic derivative is smooth at 0.
     h, dh = _mean_exponential(small)
     hs, dhs = _mean_exponential(s * small)
     phi_near = s * hs / h
     slope_near = phi_near * (s * dhs / hs - dh / h)
-    big = jnp.where(near, 1.0, x)
-    phi_far = jnp.expm1(s * big) / jnp.expm1(big)
-    slope_far = phi_far * (1 / jnp.expm1(-big) - s / jnp.expm1(-s * big))
-    return jnp.where(near, phi_near, phi_far), jnp.where(near, slope_near, slope_far)
+    big = xp.where(near, 1.0, x)
+    phi_far = xp.expm1(s * big) / xp.expm1(big)
+    slope_far = phi_far * (1 / xp.expm1(-big) - s / xp.expm1(-s * big))
+    return xp.where(near, phi_near, phi_far), xp.where(near, slope_near, slope_far)
 
 
 def _mean_exponential(y):
@@ -42,21 +48,23 @@ def _mean_exponential(y):
     Five Gauss points are exact to 4e-16 there, in every derivative, and quick to compile.
     """
     shape = (1,) * y.ndim + (5,)
-    nodes, weights = (jnp.asarray(v.reshape(shape), y.dtype) for v in (_T, _W))
-    terms = weights * jnp.exp(y[..., None] * nodes)
+    xp = _space(y)
+    nodes, weights = (xp.asarray(v.reshape(shape), y.dtype) for v in (_T, _W))
+    terms = weights * xp.exp(y[..., None] * nodes)
     return terms.sum(-1), (nodes * terms).sum(-1)
 
 
 def ff_density(u, inner: float, log_d, s):
     """(4 pi p at u, fraction F scattered inside u = inner); D = e^log_d."""
+    xp = _space(u)
     # The three scalar values of phi in one go: it halves what there is to compile.
     edge = log_d + math.log(inner)
-    phi, _ = ff_phi(jnp.stack([log_d, edge, edge]), jnp.stack([s, s, 1 - s]))
+    phi, _ = ff_phi(xp.stack([log_d, edge, edge]), xp.stack([s, s, 1 - s]))
     back, at_edge, complement = phi
     # 1 - phi(s) = delta^s phi(1 - s): no cancellation where little is scattered inside.
-    inside = jnp.exp(s * edge) * complement + inner * at_edge
+    inside = xp.exp(s * edge) * complement + inner * at_edge
     inside = inside + (1 - inner) * back * inner * (1 - 2 * inner) / 2
-    phi, slope = ff_phi(log_d + jnp.log(u), s)
+    phi, slope = ff_phi(log_d + xp.log(u), s)
     return phi - (1 - u) * slope / u + back * (0.5 - 3 * u * (1 - u)), inside
 
 
@@ -88,6 +96,31 @@ def slope_from_backscatter(ratio):
     root = jax.lax.stop_gradient(root)
     # One Newton step from the root carries the derivative of the implicit function.
     return root - excess(root, ratio) / jax.grad(excess)(root, fixed)
+
+
+def concrete_slope(ratio: float) -> float:
+    """`slope_from_backscatter` of a number, without a program to compile."""
+    low, high = 3.0, 5.0
+    for _ in range(60):
+        middle = (low + high) / 2
+        log_d = math.log(4 / 3) - 2 * math.log(index_from_slope(middle) - 1)
+        above = ff_backscatter(log_d, (middle - 3) / 2) > ratio
+        low, high = (low, middle) if above else (middle, high)
+    return (low + high) / 2
+
+
+def concrete_moments(half, weights, log_d: float, s: float, order: int) -> np.ndarray:
+    """Moments 0 ... order of the function of numbers, likewise."""
+    smallest = math.sin(SMALLEST_ANGLE / 2) ** 2
+    with np.errstate(all="ignore"):
+        density, forward = ff_density(half, smallest, log_d, s)
+    sums = np.empty(order + 1)
+    value, difference = np.ones_like(half), np.zeros_like(half)
+    for l in range(order + 1):
+        sums[l] = np.sum(weights * density * value)
+        difference = (l * difference - (2 * l + 1) * 2 * half * value) / (l + 1)
+        value = value + difference
+    return sums + forward
 
 
 def log_panels(order: int) -> tuple[float, ...]:

@@ -198,7 +198,10 @@ class FournierForand(AbstractPhase):
         """
         if backscatter_ratio is not None and index is None and slope is None:
             ratio = _parameter("backscatter_ratio", backscatter_ratio, 1e-5, 0.49)
-            self.slope = _math.slope_from_backscatter(ratio)
+            if _concrete(ratio):
+                self.slope = jnp.asarray(_math.concrete_slope(float(ratio)), ratio.dtype)
+            else:
+                self.slope = _math.slope_from_backscatter(ratio)
             self.index = _math.index_from_slope(self.slope)
         elif backscatter_ratio is None and index is not None and slope is not None:
             self.index = _parameter("index", index, 1, np.inf)
@@ -217,15 +220,23 @@ class FournierForand(AbstractPhase):
         outside, cone = _math.ff_density(jnp.clip(half, cap, 1.0), cap, *shape)
         return jnp.where(half < cap, cone / cap, outside) / (4 * np.pi)
 
-    @eqx.filter_jit
     def moments(self, order: int) -> Float[Array, " moment"]:
         angles, weights = _math.angular_quadrature(_math.log_panels(order))
+        half, solid = np.sin(angles / 2) ** 2, weights * np.sin(angles) / 2
+        # chi_0 is 1 to rounding; exactly 1 spares solvers a renormalisation.
+        if _concrete(self.index) and _concrete(self.slope):
+            slope = (float(self.slope) - 3) / 2
+            log_d = math.log(4 / 3) - 2 * math.log(float(self.index) - 1)
+            values = _math.concrete_moments(half, solid, log_d, slope, order)
+            return jnp.asarray(np.append(1.0, values[1:]), self.index.dtype)
+        return self._moments(half, solid, order)
+
+    @eqx.filter_jit
+    def _moments(self, half, solid, order: int):
         dtype = self.index.dtype
-        half = jnp.asarray(np.sin(angles / 2) ** 2, dtype)
-        solid = jnp.asarray(weights * np.sin(angles) / 2, dtype)
+        half, solid = jnp.asarray(half, dtype), jnp.asarray(solid, dtype)
         smallest = math.sin(_math.SMALLEST_ANGLE / 2) ** 2
         density, forward = _math.ff_density(half, smallest, *self._shape(dtype))
-        # chi_0 is 1 to rounding; exactly 1 spares solvers a renormalisation.
         return (_math.legendre_sums(half, solid * density, order) + forward).at[0].set(1.0)
 
     @property

@@ -76,6 +76,8 @@ def preload() -> None:
     import threading
 
     def load():
-        import xarray  # noqa: F401
+        import h5netcdf  # noqa: F401
+        import matplotlib.backends.backend_agg
+        import matplotlib.figure  # noqa: F401
 
     threading.Thread(target=load, daemon=True).start()
