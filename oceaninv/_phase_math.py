@@ -3,6 +3,7 @@
 import functools
 import itertools
 import math
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -21,7 +22,7 @@ SMALLEST_ANGLE = 1e-5  # rad; what lies inside is counted as unscattered, error 
 _T, _W = gauss_legendre(5, 0.0, 1.0)
 
 
-def _space(x):
+def _space(x) -> Any:
     """The namespace that answers for x: numbers need no program to be compiled."""
     return jnp if isinstance(x, jax.Array) else np
 
