@@ -99,9 +99,9 @@ def slope_from_backscatter(ratio):
     return root - excess(root, ratio) / jax.grad(excess)(root, fixed)
 
 
-def concrete_slope(ratio: float) -> float:
+def concrete_slope(ratio) -> float:
     """`slope_from_backscatter` of a number, without a program to compile."""
-    low, high = 3.0, 5.0
+    low, high, ratio = 3.0, 5.0, float(ratio)
     for _ in range(60):
         middle = (low + high) / 2
         log_d = math.log(4 / 3) - 2 * math.log(index_from_slope(middle) - 1)
@@ -110,8 +110,9 @@ def concrete_slope(ratio: float) -> float:
     return (low + high) / 2
 
 
-def concrete_moments(half, weights, log_d: float, s: float, order: int) -> np.ndarray:
+def concrete_moments(half, weights, index, slope, order: int) -> np.ndarray:
     """Moments 0 ... order of the function of numbers, likewise."""
+    log_d, s = math.log(4 / 3) - 2 * math.log(float(index) - 1), (float(slope) - 3) / 2
     smallest = math.sin(SMALLEST_ANGLE / 2) ** 2
     with np.errstate(all="ignore"):
         density, forward = ff_density(half, smallest, log_d, s)

@@ -198,10 +198,8 @@ class FournierForand(AbstractPhase):
         """
         if backscatter_ratio is not None and index is None and slope is None:
             ratio = _parameter("backscatter_ratio", backscatter_ratio, 1e-5, 0.49)
-            if _concrete(ratio):
-                self.slope = jnp.asarray(_math.concrete_slope(float(ratio)), ratio.dtype)
-            else:
-                self.slope = _math.slope_from_backscatter(ratio)
+            find = _math.concrete_slope if _concrete(ratio) else _math.slope_from_backscatter
+            self.slope = jnp.asarray(find(ratio), ratio.dtype)
             self.index = _math.index_from_slope(self.slope)
         elif backscatter_ratio is None and index is not None and slope is not None:
             self.index = _parameter("index", index, 1, np.inf)
@@ -225,9 +223,7 @@ class FournierForand(AbstractPhase):
         half, solid = np.sin(angles / 2) ** 2, weights * np.sin(angles) / 2
         # chi_0 is 1 to rounding; exactly 1 spares solvers a renormalisation.
         if _concrete(self.index) and _concrete(self.slope):
-            slope = (float(self.slope) - 3) / 2
-            log_d = math.log(4 / 3) - 2 * math.log(float(self.index) - 1)
-            values = _math.concrete_moments(half, solid, log_d, slope, order)
+            values = _math.concrete_moments(half, solid, self.index, self.slope, order)
             return jnp.asarray(np.append(1.0, values[1:]), self.index.dtype)
         return self._moments(half, solid, order)
 
