@@ -229,10 +229,9 @@ class FournierForand(AbstractPhase):
 
     @eqx.filter_jit
     def _moments(self, half, solid, order: int):
-        dtype = self.index.dtype
-        half, solid = jnp.asarray(half, dtype), jnp.asarray(solid, dtype)
+        half, solid = (jnp.asarray(v, self.index.dtype) for v in (half, solid))
         smallest = math.sin(_math.SMALLEST_ANGLE / 2) ** 2
-        density, forward = _math.ff_density(half, smallest, *self._shape(dtype))
+        density, forward = _math.ff_density(half, smallest, *self._shape(half.dtype))
         return (_math.legendre_sums(half, solid * density, order) + forward).at[0].set(1.0)
 
     @property
@@ -359,10 +358,9 @@ class Tabulated(AbstractPhase):
         return 2 * np.pi * theta**2 * scale * series
 
     def _tail(self):
-        dtype = self.log_values.dtype
         if self.angle_deg[0] == 0:
-            return jnp.zeros((), dtype)
-        return self._forward_fraction(_math.SMALLEST_ANGLE, dtype)
+            return jnp.zeros((), self.log_values.dtype)
+        return self._forward_fraction(_math.SMALLEST_ANGLE, self.log_values.dtype)
 
 
 @eqx.filter_jit
