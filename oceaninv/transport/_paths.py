@@ -1,0 +1,198 @@
+"""Random walks through layered water, traced once for every wavelength.
+
+A walk is drawn from a `Proposal` that knows nothing of wavelengths: free flights at a rate sigma per
+layer, scattering angles from one table per layer.  What it needs to be weighed at any water is kept
+in `Lanes`: lengths and scattering counts per layer, floor hits, one scalar weight.  Nothing here is
+differentiated.
+
+A flight never leaves the water: of the light that reaches a boundary only the share that comes back
+(the surface's reflectance, the floor's) competes with scattering, and the sum of both multiplies
+the weight.  What leaves is scored by its expected value.
+"""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int
+
+from oceaninv.optics import fresnel_from_water
+from oceaninv.transport._sampling import Vector, lambertian, sample_half_angle, turn
+
+_LEVEL = 1e-4  # flights closer to horizontal than this cosine stay in their layer
+
+
+class Domain(NamedTuple):
+    """Where light can be.  `edges`: depths between layers; `floor`: depth or None; `index`: of the
+    water under a flat surface, or None."""
+
+    edges: Float[Array, " interface"]
+    floor: Float[Array, ""] | None
+    index: Float[Array, ""] | None
+
+
+class Proposal(NamedTuple):
+    """What walks are drawn from: scattering rates (1/m) and tables of angles by layer, and the
+    share of light that a floor sends back."""
+
+    rate: Float[Array, " layer"]
+    tables: Float[Array, "layer edge"]
+    floor: Float[Array, ""]
+
+
+class Lanes(NamedTuple):
+    """Walks side by side.  `weight`: scalar factor; `lengths` (m) and `counts` of scatterings, one
+    array per layer; `floors`: floor hits; `spectral`: factors (..., wl), None where a count says
+    it all."""
+
+    position: Vector
+    direction: Vector
+    weight: Float[Array, "..."]
+    lengths: tuple[Float[Array, "..."], ...]
+    counts: tuple[Float[Array, "..."], ...]
+    floors: Float[Array, "..."]
+    spectral: Float[Array, "... wl"] | None
+
+
+class Flight(NamedTuple):
+    """The way ahead to the boundary: whether upwards, its lengths by layer (0 where endless),
+    whether it ends at all, the surface's reflectance, the optical length at the proposal's rate,
+    the share that stays."""
+
+    up: Bool[Array, "..."]
+    lengths: tuple[Float[Array, "..."], ...]
+    ends: Bool[Array, "..."]
+    reflectance: Float[Array, "..."]
+    optical: Float[Array, "..."]
+    distance: Float[Array, "..."]
+    returned: Float[Array, "..."]
+    kept: Float[Array, "..."]
+
+
+def bounds(domain: Domain) -> list[tuple[Array | float, Array | float]]:
+    """(top, bottom) of every layer; the last ends at the floor or never."""
+    cuts = [0.0, *domain.edges, jnp.inf if domain.floor is None else domain.floor]
+    return list(zip(cuts[:-1], cuts[1:], strict=True))
+
+
+def layer_of(domain: Domain, depth: Float[Array, "..."]) -> Int[Array, "..."]:
+    """Index of the layer at a depth."""
+    layer = jnp.zeros(depth.shape, jnp.int32)
+    for edge in domain.edges:
+        layer = jnp.where(depth >= edge, layer + 1, layer)
+    return layer
+
+
+def by_layer(domain: Domain, start, end, length) -> tuple[Float[Array, "..."], ...]:
+    """How a straight length between two depths divides among the layers."""
+    if domain.edges.shape[0] == 0:
+        return (length,)
+    rise = jnp.abs(end - start)
+    level = rise <= jnp.finfo(start.dtype).tiny
+    scale = length / jnp.where(level, 1.0, rise)
+    own = layer_of(domain, start)
+    parts = []
+    for i, (top, bottom) in enumerate(bounds(domain)):
+        overlap = jnp.abs(jnp.clip(end, top, bottom) - jnp.clip(start, top, bottom))
+        parts.append(jnp.where(level, jnp.where(own == i, length, 0.0), overlap * scale))
+    return tuple(parts)
+
+
+def total(lengths: tuple, rates) -> Array:
+    """Sum of lengths times rates, layer by layer."""
+    return sum((s * r for s, r in zip(lengths, rates, strict=True)), start=jnp.zeros_like(lengths[0]))
+
+
+def flight(domain: Domain, proposal: Proposal, lanes: Lanes) -> Flight:
+    """The way from where each walk stands to the boundary that it heads for."""
+    z, mu = lanes.position[2], lanes.direction[2]
+    up = mu < 0
+    level = jnp.abs(mu) < _LEVEL
+    steep = jnp.where(level, 1.0, jnp.abs(mu))
+    end = jnp.where(up, 0.0, 0.0 if domain.floor is None else domain.floor)
+    ends = (up | (domain.floor is not None)) & ~level
+    distance = jnp.where(ends, jnp.abs(end - z) / steep, 0.0)
+    lengths = by_layer(domain, z, jnp.where(ends, end, z), distance)
+    optical = jnp.where(ends, total(lengths, proposal.rate), jnp.inf)
+    reflectance = jnp.zeros_like(z)
+    if domain.index is not None:
+        reflectance = fresnel_from_water(jnp.abs(mu), domain.index)
+    back = jnp.where(up, reflectance, proposal.floor)
+    returned = jnp.where(ends, jnp.exp(-optical) * back, 0.0)
+    kept = returned - jnp.expm1(-optical)
+    return Flight(up, lengths, ends, reflectance, optical, distance, returned, kept)
+
+
+def _scattered_at(domain: Domain, proposal: Proposal, lanes: Lanes, depth: Array):
+    """Where a walk is after an optical depth: (length, z)."""
+    z, mu = lanes.position[2], lanes.direction[2]
+    own = proposal.rate[layer_of(domain, z)]
+    straight = depth / own
+    if domain.edges.shape[0] == 0:
+        return straight, z + straight * mu
+    level = jnp.abs(mu) < _LEVEL
+    above, target = jnp.zeros_like(z), jnp.zeros_like(z)
+    layers = [(i, top, bottom) for i, (top, bottom) in enumerate(bounds(domain))]
+    for i, top, bottom in layers:
+        above = above + proposal.rate[i] * (jnp.clip(z, top, bottom) - top)
+    remaining = above + depth * mu
+    for i, top, bottom in layers:
+        target = target + jnp.clip(remaining / proposal.rate[i], 0.0, bottom - top)
+        remaining = remaining - proposal.rate[i] * (bottom - top)
+    length = jnp.where(level, straight, (target - z) / jnp.where(level, 1.0, mu))
+    return length, jnp.where(level, z + straight * mu, target)
+
+
+class Vertex(NamedTuple):
+    """Where a flight ended: `scattered` in the water, else at a boundary."""
+
+    scattered: Bool[Array, "..."]
+    layer: Int[Array, "..."]
+
+
+def advance(
+    domain: Domain, proposal: Proposal, lanes: Lanes, ahead: Flight, u: tuple
+) -> tuple[Lanes, Vertex]:
+    """The walks at the ends of their flights, not yet turned.  The weight of a walk that scattered
+    lacks the phase function over the density of its new direction."""
+    kept = jnp.where(ahead.kept > 0, ahead.kept, 1.0)
+    bounced = u[3] * kept < ahead.returned
+    depth = jnp.minimum(-jnp.log1p(u[0] * jnp.expm1(-ahead.optical)), ahead.optical)
+    length, z = _scattered_at(domain, proposal, lanes, depth)
+    end = jnp.where(ahead.up, 0.0, 0.0 if domain.floor is None else domain.floor)
+    z = jnp.where(bounced, end, jnp.maximum(z, 0.0))
+    if domain.floor is not None:
+        z = jnp.minimum(z, domain.floor)
+    length = jnp.where(bounced, ahead.distance, length)
+    parts = by_layer(domain, lanes.position[2], z, length)
+    layer = layer_of(domain, z)
+    scattered = ~bounced & (ahead.kept > 0)
+    x, y, _ = lanes.position
+    counts = tuple(
+        jnp.where(scattered & (layer == i), k + 1.0, k) for i, k in enumerate(lanes.counts)
+    )
+    lanes = lanes._replace(
+        position=(x + length * lanes.direction[0], y + length * lanes.direction[1], z),
+        weight=lanes.weight * ahead.kept,
+        lengths=tuple(s + d for s, d in zip(lanes.lengths, parts, strict=True)),
+        counts=counts,
+        floors=jnp.where(bounced & ~ahead.up, lanes.floors + 1.0, lanes.floors),
+    )
+    return lanes, Vertex(scattered, layer)
+
+
+def deflect(
+    proposal: Proposal, lanes: Lanes, vertex: Vertex, up: Bool[Array, "..."], u: tuple
+) -> tuple[Vector, Float[Array, "..."], Float[Array, "..."]]:
+    """New directions; with them the cosine of the scattering angle and the density (1/sr) of the
+    scattered ones."""
+    half, density = sample_half_angle(proposal.tables, vertex.layer, u[1])
+    scattered = turn(lanes.direction, half, u[2])
+    x, y, z = lanes.direction
+    upwards = (jnp.zeros_like(x), jnp.zeros_like(x), -jnp.ones_like(x))
+    from_floor = lambertian(upwards, u[1], u[2])
+    mirrored = (x, y, -z)
+    direction = tuple(
+        jnp.where(vertex.scattered, s, jnp.where(up, m, f))
+        for s, m, f in zip(scattered, mirrored, from_floor, strict=True)
+    )
+    return direction, 1.0 - 2.0 * half, density

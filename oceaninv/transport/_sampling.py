@@ -1,0 +1,113 @@
+"""Random numbers by counting, and directions from any phase function.
+
+Every draw is a hash of (path, event, key): it depends on nothing else, so neither the order nor the
+grouping of paths changes a result.
+"""
+
+from collections.abc import Sequence
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Int, UInt32
+
+from oceaninv._numerics import safe_sqrt
+from oceaninv.phase import AbstractPhase
+
+BINS = 1024  # of equal probability, per layer
+_GRID = 4096
+
+
+def key_words(key) -> UInt32[Array, " 2"]:
+    """64 bits of a JAX key."""
+    return jax.random.bits(key, (2,), jnp.uint32)
+
+
+def uniforms(
+    path: UInt32[Array, "..."], event: UInt32[Array, ""], words: UInt32[Array, " 2"], dtype
+) -> tuple[Float[Array, "..."], ...]:
+    """Four independent numbers in (0, 1) per path.
+
+    The hash is pcg4d (Jarzynski & Olano 2020, J. Comput. Graph. Tech. 9(3):20): a dozen integer
+    products for 128 bits, where JAX's own generator takes five times as many operations.
+    """
+    multiplier, increment = jnp.uint32(1664525), jnp.uint32(1013904223)
+    event = jnp.full_like(path, event)
+    seeds = (path, event, jnp.full_like(path, words[0]), jnp.full_like(path, words[1]))
+    a, b, c, d = (seed * multiplier + increment for seed in seeds)
+    for last in (False, True):
+        a = a + b * d
+        b = b + c * a
+        c = c + a * b
+        d = d + b * c
+        if not last:
+            a, b, c, d = (word ^ (word >> jnp.uint32(16)) for word in (a, b, c, d))
+    # 23 bits: with the half added, every value is exact in single precision and inside (0, 1).
+    scale = 2.0**-23
+    return tuple(
+        ((word >> jnp.uint32(9)).astype(dtype) + 0.5) * scale for word in (a, b, c, d)
+    )
+
+
+def half_angle_table(
+    phases: Sequence[AbstractPhase], weights: Float[Array, " shape"]
+) -> Float[Array, " edge"]:
+    """Edges, in sin^2(theta/2) from 0 to 1, of bins that a mixture of phase functions fills
+    equally.  What is sampled is the histogram itself, whose density is known exactly: how well the
+    edges follow the functions is a matter of variance, not of bias."""
+    dtype = weights.dtype
+    # Evenly in the logarithm near the peak, evenly in the angle further out.
+    t = jnp.linspace(0.0, 1.0, _GRID, dtype=dtype)
+    grid = jnp.sin(0.5 * jnp.pi * jnp.expm1(7.0 * t) / jnp.expm1(jnp.asarray(7.0, dtype))) ** 2
+    grid = grid.at[0].set(0.0).at[-1].set(1.0)
+    density = sum(
+        (w * p(1.0 - 2.0 * grid).astype(dtype) for w, p in zip(weights, phases, strict=True)),
+        start=jnp.full_like(grid, 1e-6),
+    )
+    steps = 0.5 * (density[1:] + density[:-1]) * jnp.diff(grid)
+    cumulative = jnp.concatenate([jnp.zeros((1,), dtype), jnp.cumsum(steps)])
+    at = jnp.linspace(0.0, 1.0, BINS + 1, dtype=dtype)
+    edges = jnp.interp(at, cumulative / cumulative[-1], grid)
+    return edges.at[0].set(0.0).at[-1].set(1.0)
+
+
+def sample_half_angle(
+    tables: Float[Array, "layer edge"], layer: Int[Array, "..."], u: Float[Array, "..."]
+) -> tuple[Float[Array, "..."], Float[Array, "..."]]:
+    """sin^2(theta/2) and the density (1/sr) with which it was drawn."""
+    at = u * BINS
+    low = jnp.clip(at.astype(jnp.int32), 0, BINS - 1)
+    flat = tables.reshape(-1)
+    first = flat[layer * (BINS + 1) + low]
+    width = flat[layer * (BINS + 1) + low + 1] - first
+    tiny = jnp.finfo(u.dtype).tiny
+    half = jnp.clip(first + (at - low.astype(u.dtype)) * width, 0.0, 1.0)
+    return half, 1.0 / (4.0 * jnp.pi * BINS * jnp.maximum(width, tiny))
+
+
+Vector = tuple[Array, Array, Array]
+
+
+def turn(direction: Vector, half: Float[Array, "..."], u: Float[Array, "..."]) -> Vector:
+    """`direction` turned by theta, of which sin^2(theta/2) is given, about a random azimuth.
+
+    The frame is that of Duff et al. (2017, J. Comput. Graph. Tech. 6(1):1).
+    """
+    x, y, z = direction
+    sign = jnp.where(z >= 0, 1.0, -1.0)
+    a = -1.0 / (sign + z)
+    b = x * y * a
+    cosine, sine = 1.0 - 2.0 * half, 2.0 * safe_sqrt(half * (1.0 - half))
+    azimuth = 2.0 * jnp.pi * u
+    p, q = sine * jnp.cos(azimuth), sine * jnp.sin(azimuth)
+    turned = (
+        p * (1.0 + sign * x * x * a) + q * b + cosine * x,
+        p * sign * b + q * (sign + y * y * a) + cosine * y,
+        -p * sign * x - q * y + cosine * z,
+    )
+    scale = jax.lax.rsqrt(turned[0] ** 2 + turned[1] ** 2 + turned[2] ** 2)
+    return turned[0] * scale, turned[1] * scale, turned[2] * scale
+
+
+def lambertian(normal: Vector, u: Float[Array, "..."], v: Float[Array, "..."]) -> Vector:
+    """A direction of the hemisphere about `normal`, with density cosine/pi."""
+    return turn(normal, 0.5 * u / (1.0 + safe_sqrt(1.0 - u)), v)

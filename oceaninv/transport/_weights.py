@@ -1,0 +1,167 @@
+"""What a traced walk is worth at every wavelength: an analytic function of the water.
+
+weight = scalar * product over layers of (b/sigma)^k exp(-(c - sigma) S) * (rho/rho0)^hits * mixing,
+where mixing is the phase function over the density that was sampled.  It is exact for any a, b,
+floor and phase parameters, and so are its derivatives; only how fast the average settles depends on
+the proposal.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from oceaninv.iops import IOPs
+from oceaninv.phase import AbstractPhase
+from oceaninv.scene import Scene
+from oceaninv.transport._paths import Domain, Lanes, Proposal, Vertex
+from oceaninv.transport._sampling import half_angle_table
+
+_TINY = 1e-20  # 1/m: scattering coefficients below count as this in a logarithm
+
+
+class Medium(NamedTuple):
+    """The water of every layer against a proposal: `c` and `excess` = c - sigma (1/m), `log_b` =
+    ln(b/sigma), `rows` of b by shape, all (..., wl); `log_floor` = ln(rho/rho0) or None."""
+
+    c: tuple[Float[Array, " wl"], ...]
+    excess: tuple[Float[Array, " wl"], ...]
+    log_b: tuple[Float[Array, " wl"], ...]
+    rows: tuple[Float[Array, "shape wl"], ...]
+    phases: tuple[tuple[AbstractPhase, ...], ...]
+    log_floor: Float[Array, " wl"] | None
+
+
+def waters(scene: Scene) -> tuple[IOPs, ...]:
+    """The layers' waters from the surface down."""
+    return (scene.water,) if isinstance(scene.water, IOPs) else scene.water.iops
+
+
+def mixed(scene: Scene) -> bool:
+    """Whether a layer has several phase functions: the spectrum of a scattering then depends on its
+    angle, and no count tells it."""
+    return any(len(w.phases) > 1 for w in waters(scene))
+
+
+def propose(scene: Scene) -> Proposal:
+    """The proposal made for a scene: flights at the least attenuation of all bands, angles from the
+    mean phase function.  No band's weights then grow along a path."""
+    scene = jax.lax.stop_gradient(scene)
+    rates, tables = [], []
+    for water in waters(scene):
+        tiny = jnp.asarray(1e-6, water.c.dtype)
+        rates.append(jnp.maximum(jnp.min(water.c), tiny))
+        tables.append(half_angle_table(water.phases, jnp.mean(water.b_components, axis=1)))
+    floor = jnp.zeros_like(rates[0])
+    if scene.floor is not None:
+        # Not 0: a black floor has derivatives that need walks which touch it.
+        floor = jnp.maximum(jnp.mean(scene.floor.reflectance), 0.02)
+    return Proposal(jnp.stack(rates), jnp.stack(tables), floor)
+
+
+def medium(scene: Scene, proposal: Proposal) -> Medium:
+    """The scene's water, relative to a proposal."""
+    layers = waters(scene)
+    log_floor = None
+    if scene.floor is not None:
+        log_floor = _log(scene.floor.reflectance) - _log(proposal.floor)
+    return Medium(
+        tuple(w.c for w in layers),
+        tuple(w.c - s for w, s in zip(layers, proposal.rate, strict=True)),
+        tuple(_log_scattering(w) - jnp.log(s) for w, s in zip(layers, proposal.rate, strict=True)),
+        tuple(w.b_components for w in layers),
+        tuple(w.phases for w in layers),
+        log_floor,
+    )
+
+
+def _log(value: Float[Array, "..."]) -> Float[Array, "..."]:
+    """ln(value), with the derivative of the first power kept where value is 0."""
+    fixed = jax.lax.stop_gradient(value)
+    floored = jnp.maximum(fixed, _TINY)
+    return jnp.log(floored) + (value - fixed) / floored
+
+
+def _log_scattering(water: IOPs) -> Float[Array, " wl"]:
+    # With several shapes the derivative runs through their sum in `scatter`.
+    return _log(water.b if len(water.phases) == 1 else jax.lax.stop_gradient(water.b))
+
+
+def outer(lane: Float[Array, "..."], band: Float[Array, " wl"]) -> Float[Array, "... wl"]:
+    """lane times band, with the band as the last axis."""
+    return lane[..., None] * band.reshape((1,) * lane.ndim + (-1,))
+
+
+def attenuated(medium: Medium, lanes: Lanes, beyond: tuple) -> Float[Array, "... wl"]:
+    """The walks' weights by wavelength, without the scalar one, after further lengths by layer."""
+    exponent = jnp.zeros(lanes.weight.shape + medium.c[0].shape, lanes.weight.dtype)
+    for i, more in enumerate(beyond):
+        exponent -= outer(lanes.lengths[i], medium.excess[i])
+        exponent -= outer(more, medium.c[i])
+        exponent += outer(lanes.counts[i], medium.log_b[i])
+    if medium.log_floor is not None:
+        exponent += outer(lanes.floors, medium.log_floor)
+    value = jnp.exp(exponent)
+    return value if lanes.spectral is None else value * lanes.spectral
+
+
+def volume_scattering(
+    medium: Medium, proposal: Proposal, vertex: Vertex, cosine: Float[Array, "..."]
+) -> Float[Array, "... wl"]:
+    """b p(cosine) over the rate of the proposal, (1/sr), in the layer of each vertex."""
+    value = jnp.zeros(cosine.shape + medium.c[0].shape, cosine.dtype)
+    for i, (rows, phases) in enumerate(zip(medium.rows, medium.phases, strict=True)):
+        share = jnp.where(vertex.scattered & (vertex.layer == i), 1.0 / proposal.rate[i], 0.0)
+        for row, phase in zip(rows, phases, strict=True):
+            value += outer(share * phase(cosine), row)
+    return value
+
+
+def scatter(
+    medium: Medium, lanes: Lanes, vertex: Vertex, cosine: Array, density: Array
+) -> tuple[Float[Array, "..."], Float[Array, "... wl"] | None]:
+    """Scalar and spectral factors of a new direction drawn with `density` at `cosine`."""
+    scalar = jnp.ones_like(lanes.weight)
+    spectral = lanes.spectral
+    for i, (rows, phases) in enumerate(zip(medium.rows, medium.phases, strict=True)):
+        here = vertex.scattered & (vertex.layer == i)
+        ratios = [phase(cosine) / density for phase in phases]
+        if len(phases) == 1:
+            scalar = jnp.where(here, ratios[0], scalar)
+        else:
+            whole = jnp.maximum(jax.lax.stop_gradient(jnp.sum(rows, axis=0)), _TINY)
+            pairs = zip(ratios, rows, strict=True)
+            factor = sum((outer(r, row / whole) for r, row in pairs), start=jnp.zeros_like(spectral))
+            spectral = jnp.where(here[..., None], spectral * factor, spectral)
+    return scalar, spectral
+
+
+def comb(
+    medium: Medium, lanes: Lanes, kept: int, u: Float[Array, " unit"]
+) -> Lanes:
+    """`kept` of the lanes of every unit (unit, lane), drawn evenly along their summed importance,
+    with weights that leave every expected value as it is."""
+    lanes_now = jax.lax.stop_gradient(lanes)
+    nowhere = tuple(jnp.zeros_like(s) for s in lanes.lengths)
+    value = lanes_now.weight[..., None] * attenuated(jax.lax.stop_gradient(medium), lanes_now, nowhere)
+    tiny = jnp.finfo(value.dtype).tiny
+    shares = value / jnp.maximum(jnp.sum(value, axis=1, keepdims=True), tiny)
+    proposal_share = lanes_now.weight / jnp.maximum(
+        jnp.sum(lanes_now.weight, axis=1, keepdims=True), tiny
+    )
+    # A tenth by the proposal's own weights: also lanes that count only in a derivative live on.
+    importance = jnp.mean(shares, axis=2) + 0.1 * proposal_share
+    upto = jnp.cumsum(importance, axis=1)
+    whole = upto[:, -1:]
+    teeth = (jnp.arange(kept, dtype=u.dtype)[None, :] + u[:, None]) / kept * whole
+    chosen = jnp.sum((upto[:, None, :] <= teeth[:, :, None]).astype(jnp.int32), axis=2)
+    chosen = jnp.minimum(chosen, lanes.weight.shape[1] - 1)
+
+    def take(leaf):
+        index = chosen.reshape(chosen.shape + (1,) * (leaf.ndim - 2))
+        return jnp.take_along_axis(leaf, index, axis=1)
+
+    lanes = jax.tree.map(take, lanes)
+    copies = kept * jnp.take_along_axis(importance, chosen, axis=1) / jnp.maximum(whole, tiny)
+    return lanes._replace(weight=lanes.weight / jnp.maximum(copies, tiny))

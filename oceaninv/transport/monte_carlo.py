@@ -1,0 +1,68 @@
+"""Monte Carlo: walks traced once, weighed at every wavelength."""
+
+import equinox as eqx
+import jax
+from jaxtyping import Array, Float, Key
+
+from oceaninv.optics import Rays
+from oceaninv.scene import Scene
+from oceaninv.transport import _backward, _forward
+from oceaninv.transport._sampling import key_words
+from oceaninv.transport._walks import Plan
+from oceaninv.transport.base import AbstractTransport, Estimate, Irradiance
+
+
+class MonteCarlo(AbstractTransport):
+    """Random walks, backward from the eye or forward from the light.
+
+    Solves the radiative transfer equation for anything a `Scene` holds.  Every walk is traced once
+    and weighed analytically at every wavelength, so that all bands share its cost.
+    Neglects: what happens after `bounces` events (bounded in `Estimate.bias`), polarisation.
+    Cost: 1e6 walks of 32 events in 20 bands take about 2 s on two cores.
+    Differentiable in a, b, phase parameters, reflectances and the light's spectra, in forward and
+    reverse mode, without bias; in geometry (depth, range, sun, index, pose) it raises ValueError.
+
+    **Arguments:**
+
+    - `paths`: walks per ray; for irradiance, in all.  Rounded up to whole groups of 32.
+    - `bounces`: events (scatterings and reflections) per walk.
+    - `thin`: whether only one walk in four, drawn by its importance, goes on after 4, 16, 64 ...
+      events.  Saves most of the time where light is absorbed; switch it off for white media.
+
+    With one key, the estimate is a smooth function of the water: a fit should keep the key.
+    """
+
+    paths: int = eqx.field(static=True)
+    bounces: int = eqx.field(static=True)
+    thin: bool = eqx.field(static=True)
+
+    def __init__(self, paths: int = 2**14, bounces: int = 32, thin: bool = True):
+        """Raises ValueError for fewer than one path or bounce."""
+        for name, value in (("paths", paths), ("bounces", bounces)):
+            if int(value) < 1:
+                raise ValueError(f"{name} must be at least 1, not {value}.")
+        self.paths = int(paths)
+        self.bounces = int(bounces)
+        self.thin = bool(thin)
+
+    def radiance(self, scene: Scene, rays: Rays, key: Key[Array, ""] | None = None) -> Estimate:
+        """See `oceaninv.radiance`."""
+        return _backward.radiance(scene, rays, _words(key), self.plan)
+
+    def irradiance(
+        self, scene: Scene, depths: Float[Array, " depth"], key: Key[Array, ""] | None = None
+    ) -> Irradiance:
+        """See `oceaninv.irradiance`."""
+        found = _forward.irradiance(scene, depths, _words(key), self.plan)
+        return Irradiance(*(jax.tree.map(lambda leaf, i=i: leaf[:, i], found) for i in range(3)))
+
+    @property
+    def plan(self) -> Plan:
+        """The dials, as the walks need them."""
+        return Plan(self.paths, self.bounces, self.thin)
+
+
+def _words(key):
+    if key is None:
+        raise ValueError("MonteCarlo draws random numbers: pass key=jax.random.key(seed).")
+    return key_words(key)
