@@ -16,8 +16,8 @@ from oceaninv.transport._weights import Medium
 from oceaninv.transport.base import Estimate
 
 GROUP = 32  # walks that are thinned together: the unit of independence
-_FIRST = 4  # events before the first thinning; the next follow at 4, 16, 64 times as many
-_PART = 4  # one walk in so many is kept
+_YOUNG = 6  # events before the thinning
+_PART = 8  # one walk in so many is kept
 _CHUNK = 8192  # walks side by side
 _COMB = 0x9E3779B9  # sets the draws of the thinning apart from those of the walks
 
@@ -39,16 +39,11 @@ class World(NamedTuple):
     words: UInt32[Array, " 2"]
 
 
-def stages(bounces: int, thin: bool) -> list[tuple[int, int, int]]:
-    """(first event, events, lanes) of every stage."""
-    if not thin:
-        return [(0, bounces, GROUP)]
-    found, start, end, lanes = [], 0, _FIRST, GROUP
-    while start < bounces:
-        end = min(end, bounces)
-        found.append((start, end - start, lanes))
-        start, end, lanes = end, end * _PART, max(lanes // _PART, 1)
-    return found
+def stages(plan: Plan) -> list[tuple[int, int, int]]:
+    """(first event, events, lanes per group) of every stage: two at most, for each is compiled."""
+    if not plan.thin or plan.bounces <= _YOUNG:
+        return [(0, plan.bounces, GROUP)]
+    return [(0, _YOUNG, GROUP), (_YOUNG, plan.bounces - _YOUNG, GROUP // _PART)]
 
 
 # (before, ahead, after, vertex, event) -> (unit, ...), summed over the lanes of a unit.
@@ -68,7 +63,7 @@ def walk(
     dtype = lanes.weight.dtype
     late = plan.bounces - max(plan.bounces // 4, 1)
     sums = (jnp.zeros(shape, dtype), jnp.zeros(shape, dtype))
-    for first, events, kept in stages(plan.bounces, plan.thin):
+    for first, events, kept in stages(plan):
         if kept < lanes.weight.shape[1]:
             event = jnp.asarray(first, jnp.uint32)
             u = uniforms(unit, event, words ^ jnp.uint32(_COMB), dtype)
