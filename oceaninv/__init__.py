@@ -38,6 +38,7 @@ from oceaninv.transport.base import Estimate, Irradiance
 from oceaninv.transport.four_stream import FourStream
 from oceaninv.transport.front import irradiance, photograph, radiance
 from oceaninv.transport.kd import KdTransport
+from oceaninv.transport.monte_carlo import MonteCarlo
 from oceaninv.transport.plane_parallel import PlaneParallel
 from oceaninv.transport.two_stream import TwoStream
 
@@ -62,6 +63,7 @@ __all__ = [
     "Layers",
     "Light",
     "Minerals",
+    "MonteCarlo",
     "Phytoplankton",
     "PlaneParallel",
     "PointLamp",

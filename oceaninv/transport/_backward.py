@@ -11,6 +11,7 @@ from oceaninv.optics import Rays
 from oceaninv.scene import Scene
 from oceaninv.transport import _paths, _walks, _weights
 from oceaninv.transport._guard import fixed_rays, fixed_scene
+from oceaninv.transport._paths import Proposal
 from oceaninv.transport._walks import GROUP, Plan, World
 from oceaninv.transport.base import Estimate
 
@@ -29,7 +30,7 @@ class _Sun:
         return _paths.by_layer(self.domain, jnp.zeros_like(depth), depth, depth / self.cosine)
 
     def turned(self, direction) -> Float[Array, "..."]:
-        """Cosine of the angle by which it must turn to reach an eye that looks along `direction`."""
+        """Cosine of the angle by which it must turn to reach an eye looking along `direction`."""
         return -(self.across * direction[0] + self.cosine * direction[2])
 
 
@@ -53,7 +54,7 @@ def _boundary(scene: Scene, world: World, sun: _Sun, before, ahead) -> Float[Arr
     weight = jnp.where(ahead.ends, before.weight, 0.0)
     colour = jnp.zeros((*weight.shape, len(scene.wavelength)), weight.dtype)
     if scene.light.diffuse is not None:
-        squared = 1.0 if domain.index is None else domain.index**2
+        squared = 1.0 if domain.refraction is None else domain.refraction**2
         through = jnp.where(ahead.up, weight * (1.0 - ahead.reflectance) * squared, 0.0)
         colour += _weights.outer(through, scene.light.diffuse)
     if scene.floor is not None:
@@ -63,10 +64,12 @@ def _boundary(scene: Scene, world: World, sun: _Sun, before, ahead) -> Float[Arr
 
 
 @eqx.filter_jit
-def radiance(scene: Scene, rays: Rays, words: UInt32[Array, " 2"], plan: Plan) -> Estimate:
+def radiance(
+    scene: Scene, rays: Rays, words: UInt32[Array, " 2"], plan: Plan, proposal: Proposal | None
+) -> Estimate:
     """(ray, wl)."""
     scene, rays = fixed_scene(scene), fixed_rays(rays)
-    world = _walks.world(scene, words)
+    world = _walks.world(scene, words, proposal)
     sun = _Sun(scene, world)
     groups = -(-plan.paths // GROUP)
     count, bands = rays.direction.shape[0], len(scene.wavelength)
@@ -85,7 +88,10 @@ def radiance(scene: Scene, rays: Rays, words: UInt32[Array, " 2"], plan: Plan) -
             tuple(jnp.broadcast_to(v[ray, i][:, None], (len(unit), GROUP)) for i in range(3))
             for v in (rays.origin, rays.direction)
         )
-        lanes = _walks.standing(world.domain, position, direction, _walks.carried(scene))
+        limit = rays.length
+        if limit is not None:
+            limit = jnp.broadcast_to(limit[ray][:, None], (len(unit), GROUP))
+        lanes = _walks.standing(world.domain, position, direction, _walks.carried(scene), limit)
         return _walks.walk(world, lanes, unit, plan, score, (len(unit), bands))
 
     sums = _walks.in_chunks(run, count * groups)

@@ -11,6 +11,7 @@ from oceaninv.optics import fresnel_from_air, refracted_cosine
 from oceaninv.scene import Scene
 from oceaninv.transport import _paths, _walks, _weights
 from oceaninv.transport._guard import fixed, fixed_scene
+from oceaninv.transport._paths import Proposal
 from oceaninv.transport._sampling import uniforms
 from oceaninv.transport._walks import GROUP, Plan, World
 from oceaninv.transport.base import Estimate
@@ -19,20 +20,14 @@ _GRAZING = 0.01  # below this cosine, 1/cosine counts as its mean over the band,
 _SKY = 0x51ED270B  # sets the draws of the sky's directions apart
 
 
-def _entering(world: World, unit: UInt32[Array, " unit"], cosine: Array | None):
-    """Directions and weights of walks that start at the surface: along the beam of a `cosine`, or
-    from a uniform sky, as flux."""
-    shape = (len(unit), GROUP)
-    if cosine is not None:
-        level = -safe_sqrt(1.0 - cosine**2)
-        parts = (level, jnp.zeros_like(level), cosine)
-        return tuple(jnp.broadcast_to(p, shape) for p in parts), jnp.ones(shape, cosine.dtype)
+def _from_sky(world: World, unit: UInt32[Array, " unit"]):
+    """Directions and weights of walks that enter from a uniform sky, as flux."""
     path = unit[:, None] * jnp.uint32(GROUP) + jnp.arange(GROUP, dtype=jnp.uint32)[None, :]
     words = world.words ^ jnp.uint32(_SKY)
     u = uniforms(path, jnp.uint32(0), words, world.proposal.rate.dtype)
     above = jnp.sqrt(u[0])
-    index = world.domain.index
-    weight = jnp.ones(shape, above.dtype)
+    index = world.domain.refraction
+    weight = jnp.ones_like(above)
     if index is not None:
         weight = 1.0 - fresnel_from_air(above, index)
         above = refracted_cosine(above, index)
@@ -40,75 +35,89 @@ def _entering(world: World, unit: UInt32[Array, " unit"], cosine: Array | None):
     return (level * jnp.cos(azimuth), level * jnp.sin(azimuth), above), weight
 
 
-def _crossing(scene: Scene, world: World, depths: Array, before, ahead, weight):
-    """Ed, Eu and E0 that walks bring to each depth ahead, (unit, depth, 3, wl)."""
+def _crossing(world: World, depth: Array, before, ahead, weight):
+    """Ed, Eu and E0 that walks bring to a depth ahead, (unit, 3, wl)."""
     z, steep = before.position[2], jnp.maximum(jnp.abs(before.direction[2]), 1e-6)
     slanted = jnp.where(steep < _GRAZING, 2.0 / _GRAZING, 1.0 / steep)
-    found = []
-    for depth in depths:
-        passes = jnp.where(ahead.up, depth < z, depth >= z)
-        length = jnp.where(passes, jnp.abs(depth - z) / steep, 0.0)
-        beyond = _paths.by_layer(world.domain, z, jnp.where(passes, depth, z), length)
-        reaching = _weights.attenuated(world.medium, before, beyond)
-        crossed = jnp.where(passes, weight, 0.0)
-        down, up = jnp.where(ahead.up, 0.0, crossed), jnp.where(ahead.up, crossed, 0.0)
-        kinds = jnp.stack([down, up, crossed * slanted], axis=1)
-        found.append(jnp.einsum("ukl,ulw->ukw", kinds, reaching))
-    return jnp.stack(found, axis=1)
+    passes = jnp.where(ahead.up, depth < z, depth >= z)
+    length = jnp.where(passes, jnp.abs(depth - z) / steep, 0.0)
+    beyond = _paths.by_layer(world.domain, z, jnp.where(passes, depth, z), length)
+    reaching = _weights.attenuated(world.medium, before, beyond)
+    crossed = jnp.where(passes, weight, 0.0)
+    down, up = jnp.where(ahead.up, 0.0, crossed), jnp.where(ahead.up, crossed, 0.0)
+    kinds = jnp.stack([down, up, crossed * slanted], axis=1)
+    return jnp.einsum("ukl,ulw->ukw", kinds, reaching)
 
 
-def _from(scene: Scene, world: World, depths: Array, plan: Plan, cosine: Array | None):
-    """Group sums for unit flux on the surface: (unit, depth, 3, wl), whole and late."""
-
-    def score(before, ahead, after, vertex, t):
-        del after, vertex
-        # The sunbeam itself is added in closed form.
-        first = t == 0
-        weight = before.weight if cosine is None else jnp.where(first, 0.0, before.weight)
-        return _crossing(scene, world, depths, before, ahead, weight)
+def _sums(scene: Scene, world: World, depths: Array, plan: Plan, cosine: Array, groups: int):
+    """Group sums for unit flux on the surface, (unit, depth, 3, wl), in all and late: `groups` of
+    the sun, then as many of the sky where there is one."""
+    sky = scene.light.diffuse is not None
+    at_depths = jax.vmap(_crossing, (None, 0, None, None, None), 1)
 
     def run(unit):
-        direction, weight = _entering(world, unit, cosine)
-        position = (jnp.zeros_like(weight),) * 3
+        shape = (len(unit), GROUP)
+        level = -safe_sqrt(1.0 - cosine**2)
+        beam = (level, jnp.zeros_like(level), cosine)
+        direction = tuple(jnp.broadcast_to(part, shape) for part in beam)
+        weight, sunlit = jnp.ones(shape, cosine.dtype), jnp.ones((len(unit), 1), bool)
+        if sky:
+            sunlit = (unit < groups)[:, None]
+            other, through = _from_sky(world, unit)
+            pairs = zip(direction, other, strict=True)
+            direction = tuple(jnp.where(sunlit, s, o) for s, o in pairs)
+            weight = jnp.where(sunlit, weight, through)
+
+        def score(before, ahead, after, vertex, t):
+            del after, vertex
+            # The sunbeam itself is added in closed form.
+            new = jnp.where((t == 0) & sunlit, 0.0, before.weight)
+            return at_depths(world, depths, before, ahead, new)
+
+        position = (jnp.zeros(shape, cosine.dtype),) * 3
         lanes = _walks.standing(world.domain, position, direction, _walks.carried(scene))
         lanes = lanes._replace(weight=weight)
-        shape = (len(unit), depths.shape[0], 3, len(scene.wavelength))
-        return _walks.walk(world, lanes, unit, plan, score, shape)
+        sums = (len(unit), depths.shape[0], 3, len(scene.wavelength))
+        return _walks.walk(world, lanes, unit, plan, score, sums)
 
-    return _walks.in_chunks(run, max(plan.paths // GROUP, 1))
+    return _walks.in_chunks(run, groups * (2 if sky else 1))
 
 
 @eqx.filter_jit
-def irradiance(scene: Scene, depths: Float[Array, " depth"], words, plan: Plan) -> Estimate:
+def irradiance(
+    scene: Scene,
+    depths: Float[Array, " depth"],
+    words: UInt32[Array, " 2"],
+    plan: Plan,
+    proposal: Proposal | None,
+) -> Estimate:
     """(depth, 3, wl): Ed, Eu, E0."""
     scene, depths = fixed_scene(scene), fixed("depths", depths)
-    world = _walks.world(scene, words)
+    world = _walks.world(scene, words, proposal)
     cosine, sun = scene.beam()
     cosine = jax.lax.stop_gradient(cosine)
-    sky = scene.light.diffuse
-    if sky is not None:
-        plan = plan._replace(paths=-(-plan.paths // 2))
-    plan = plan._replace(paths=-(-plan.paths // GROUP) * GROUP)
-    sums = _from(scene, world, depths, plan, cosine)
-    lit = (sun * cosine)[None, None, None, :]
-    found = _walks.estimate(tuple(v * lit for v in sums), scene, plan.bounces)
-    if sky is not None:
-        sums = _from(scene, world, depths, plan, None)
-        lit = (sky * np.pi)[None, None, None, :]
-        other = _walks.estimate(tuple(v * lit for v in sums), scene, plan.bounces)
-        stderr = jnp.sqrt(found.stderr**2 + other.stderr**2)
-        found = Estimate(found.value + other.value, stderr, found.bias + other.bias)
+    spectra = [sun * cosine]
+    if scene.light.diffuse is not None:
+        spectra.append(scene.light.diffuse * np.pi)
+    groups = -(-plan.paths // (GROUP * len(spectra)))
+    sums = _sums(scene, world, depths, plan, cosine, groups)
+    found = []
+    for i, spectrum in enumerate(spectra):
+        own = tuple(v[i * groups : (i + 1) * groups] * spectrum[None, None, None] for v in sums)
+        found.append(_walks.estimate(own, scene, plan.bounces))
     beam = _beam(world, depths, cosine, sun)
     kinds = jnp.stack([cosine, jnp.zeros_like(cosine), jnp.ones_like(cosine)])
-    value = found.value + beam[:, None, :] * kinds[None, :, None]
-    return Estimate(value, found.stderr, found.bias)
+    value = beam[:, None, :] * kinds[None, :, None]
+    for part in found:
+        value = value + part.value
+    variance = jnp.sum(jnp.stack([part.stderr**2 for part in found]), axis=0)
+    return Estimate(value, safe_sqrt(variance), jnp.sum(jnp.stack([p.bias for p in found]), axis=0))
 
 
 def _beam(world: World, depths: Array, cosine: Array, sun: Array) -> Float[Array, "depth wl"]:
     """The sunbeam at depths, normal to itself."""
     lengths = _paths.by_layer(world.domain, jnp.zeros_like(depths), depths, depths / cosine)
-    optical = sum(
-        (_weights.outer(s, c) for s, c in zip(lengths, world.medium.c, strict=True)),
-        start=jnp.zeros((depths.shape[0], sun.shape[0]), sun.dtype),
-    )
+    optical = jnp.zeros((depths.shape[0], sun.shape[0]), sun.dtype)
+    for length, c in zip(lengths, world.medium.c, strict=True):
+        optical += _weights.outer(length, c)
     return sun[None, :] * jnp.exp(-optical)

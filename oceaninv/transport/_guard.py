@@ -4,8 +4,10 @@ import functools
 
 import equinox as eqx
 import jax
+import numpy as np
 from jax.custom_derivatives import SymbolicZero
 
+from oceaninv.iops import Layers
 from oceaninv.optics import Rays
 from oceaninv.scene import Scene
 
@@ -40,15 +42,12 @@ def fixed_scene(scene: Scene) -> Scene:
         close("surface.index", lambda s: s.surface.index)
     if scene.floor is not None:
         close("floor.depth", lambda s: s.floor.depth)
-    if hasattr(scene.water, "interfaces"):
+    if isinstance(scene.water, Layers):
         close("water.interfaces", lambda s: s.water.interfaces)
     return scene
 
 
 def fixed_rays(rays: Rays) -> Rays:
     """The rays, closed to derivatives."""
-    names = ("origin", "direction", "length")
-    closed = [None if v is None else fixed(f"rays.{n}", v) for n in names for v in [getattr(rays, n)]]
-    return eqx.tree_at(
-        lambda r: (r.origin, r.direction, r.length), rays, tuple(closed), is_leaf=lambda x: x is None
-    )
+    length = np.inf if rays.length is None else fixed("rays.length", rays.length)
+    return Rays(fixed("rays.origin", rays.origin), fixed("rays.direction", rays.direction), length)

@@ -1,9 +1,9 @@
 """Random walks through layered water, traced once for every wavelength.
 
-A walk is drawn from a `Proposal` that knows nothing of wavelengths: free flights at a rate sigma per
-layer, scattering angles from one table per layer.  What it needs to be weighed at any water is kept
-in `Lanes`: lengths and scattering counts per layer, floor hits, one scalar weight.  Nothing here is
-differentiated.
+A walk is drawn from a `Proposal` that knows nothing of wavelengths: free flights at a rate sigma
+per layer, scattering angles from one table per layer.  What it needs to be weighed at any water is
+kept in `Lanes`: lengths and scattering counts per layer, floor hits, one scalar weight.  Nothing
+here is differentiated.
 
 A flight never leaves the water: of the light that reaches a boundary only the share that comes back
 (the surface's reflectance, the floor's) competes with scattering, and the sum of both multiplies
@@ -12,6 +12,7 @@ the weight.  What leaves is scored by its expected value.
 
 from typing import NamedTuple
 
+import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
@@ -22,15 +23,15 @@ _LEVEL = 1e-4  # flights closer to horizontal than this cosine stay in their lay
 
 
 class Domain(NamedTuple):
-    """Where light can be.  `edges`: depths between layers; `floor`: depth or None; `index`: of the
-    water under a flat surface, or None."""
+    """Where light can be.  `edges`: depths between layers; `floor`: depth or None; `refraction`: the
+    index of water under a flat surface, or None."""
 
     edges: Float[Array, " interface"]
     floor: Float[Array, ""] | None
-    index: Float[Array, ""] | None
+    refraction: Float[Array, ""] | None
 
 
-class Proposal(NamedTuple):
+class Proposal(eqx.Module):
     """What walks are drawn from: scattering rates (1/m) and tables of angles by layer, and the
     share of light that a floor sends back."""
 
@@ -42,7 +43,7 @@ class Proposal(NamedTuple):
 class Lanes(NamedTuple):
     """Walks side by side.  `weight`: scalar factor; `lengths` (m) and `counts` of scatterings, one
     array per layer; `floors`: floor hits; `spectral`: factors (..., wl), None where a count says
-    it all."""
+    it all; `limit`: metres after which a line of sight ends, None where none does."""
 
     position: Vector
     direction: Vector
@@ -51,12 +52,13 @@ class Lanes(NamedTuple):
     counts: tuple[Float[Array, "..."], ...]
     floors: Float[Array, "..."]
     spectral: Float[Array, "... wl"] | None
+    limit: Float[Array, "..."] | None
 
 
 class Flight(NamedTuple):
-    """The way ahead to the boundary: whether upwards, its lengths by layer (0 where endless),
-    whether it ends at all, the surface's reflectance, the optical length at the proposal's rate,
-    the share that stays."""
+    """The way ahead: whether upwards, whether it `ends` at the surface or floor, its length in all
+    and by layer (0 where endless), the surface's reflectance, the optical length at the proposal's
+    rate, the shares that come back from the boundary and that stay in the water in all."""
 
     up: Bool[Array, "..."]
     lengths: tuple[Float[Array, "..."], ...]
@@ -70,8 +72,8 @@ class Flight(NamedTuple):
 
 def bounds(domain: Domain) -> list[tuple[Array | float, Array | float]]:
     """(top, bottom) of every layer; the last ends at the floor or never."""
-    cuts = [0.0, *domain.edges, jnp.inf if domain.floor is None else domain.floor]
-    return list(zip(cuts[:-1], cuts[1:], strict=True))
+    last = jnp.inf if domain.floor is None else domain.floor
+    return list(zip([0.0, *domain.edges], [*domain.edges, last], strict=True))
 
 
 def layer_of(domain: Domain, depth: Float[Array, "..."]) -> Int[Array, "..."]:
@@ -99,7 +101,7 @@ def by_layer(domain: Domain, start, end, length) -> tuple[Float[Array, "..."], .
 
 def total(lengths: tuple, rates) -> Array:
     """Sum of lengths times rates, layer by layer."""
-    return sum((s * r for s, r in zip(lengths, rates, strict=True)), start=jnp.zeros_like(lengths[0]))
+    return jnp.sum(jnp.stack([s * r for s, r in zip(lengths, rates, strict=True)]), axis=0)
 
 
 def flight(domain: Domain, proposal: Proposal, lanes: Lanes) -> Flight:
@@ -111,11 +113,17 @@ def flight(domain: Domain, proposal: Proposal, lanes: Lanes) -> Flight:
     end = jnp.where(up, 0.0, 0.0 if domain.floor is None else domain.floor)
     ends = (up | (domain.floor is not None)) & ~level
     distance = jnp.where(ends, jnp.abs(end - z) / steep, 0.0)
-    lengths = by_layer(domain, z, jnp.where(ends, end, z), distance)
-    optical = jnp.where(ends, total(lengths, proposal.rate), jnp.inf)
+    bounded = ends
+    if lanes.limit is not None:
+        cut = lanes.limit < jnp.where(ends, distance, jnp.inf)
+        distance = jnp.where(cut, lanes.limit, distance)
+        ends, bounded = ends & ~cut, ends | cut
+        end = jnp.where(cut, z + mu * lanes.limit, end)
+    lengths = by_layer(domain, z, jnp.where(bounded, end, z), distance)
+    optical = jnp.where(bounded, total(lengths, proposal.rate), jnp.inf)
     reflectance = jnp.zeros_like(z)
-    if domain.index is not None:
-        reflectance = fresnel_from_water(jnp.abs(mu), domain.index)
+    if domain.refraction is not None:
+        reflectance = fresnel_from_water(jnp.abs(mu), domain.refraction)
     back = jnp.where(up, reflectance, proposal.floor)
     returned = jnp.where(ends, jnp.exp(-optical) * back, 0.0)
     kept = returned - jnp.expm1(-optical)

@@ -43,9 +43,7 @@ def uniforms(
             a, b, c, d = (word ^ (word >> jnp.uint32(16)) for word in (a, b, c, d))
     # 23 bits: with the half added, every value is exact in single precision and inside (0, 1).
     scale = 2.0**-23
-    return tuple(
-        ((word >> jnp.uint32(9)).astype(dtype) + 0.5) * scale for word in (a, b, c, d)
-    )
+    return tuple(((word >> jnp.uint32(9)).astype(dtype) + 0.5) * scale for word in (a, b, c, d))
 
 
 def half_angle_table(
@@ -84,7 +82,7 @@ def sample_half_angle(
     return half, 1.0 / (4.0 * jnp.pi * BINS * jnp.maximum(width, tiny))
 
 
-Vector = tuple[Array, Array, Array]
+Vector = tuple[Array, ...]  # x, y, z
 
 
 def turn(direction: Vector, half: Float[Array, "..."], u: Float[Array, "..."]) -> Vector:

@@ -8,10 +8,11 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, UInt32
 
 from oceaninv._numerics import safe_sqrt
+from oceaninv.iops import Layers
 from oceaninv.scene import Scene
 from oceaninv.transport import _paths, _weights
 from oceaninv.transport._paths import Domain, Flight, Lanes, Proposal, Vertex
-from oceaninv.transport._sampling import uniforms
+from oceaninv.transport._sampling import Vector, uniforms
 from oceaninv.transport._weights import Medium
 from oceaninv.transport.base import Estimate
 
@@ -81,6 +82,8 @@ def walk(
             after = after._replace(
                 direction=direction, weight=after.weight * scalar, spectral=spectral
             )
+            if after.limit is not None:
+                after = after._replace(limit=jnp.full_like(after.limit, jnp.inf))
             tail = tail + jnp.where(t >= late, scores, 0.0)
             return (after, (whole + scores, tail)), None
 
@@ -91,9 +94,10 @@ def walk(
 
 def standing(
     domain: Domain,
-    position: tuple[Array, Array, Array],
-    direction: tuple[Array, Array, Array],
+    position: Vector,
+    direction: Vector,
     wavelengths: int | None,
+    limit: Array | None = None,
 ) -> Lanes:
     """Walks at their start; `wavelengths` where a spectral factor is carried."""
     zero = jnp.zeros_like(position[2])
@@ -101,13 +105,13 @@ def standing(
     spectral = None
     if wavelengths is not None:
         spectral = jnp.ones((*zero.shape, wavelengths), zero.dtype)
-    return Lanes(position, direction, jnp.ones_like(zero), layers, layers, zero, spectral)
+    return Lanes(position, direction, jnp.ones_like(zero), layers, layers, zero, spectral, limit)
 
 
 def world(scene: Scene, words: UInt32[Array, " 2"], proposal: Proposal | None = None) -> World:
     """The scene as walks see it."""
     edges = jnp.zeros((0,), scene.light.direct.dtype)
-    if hasattr(scene.water, "interfaces"):
+    if isinstance(scene.water, Layers):
         edges = scene.water.interfaces.astype(edges.dtype)
     floor = None if scene.floor is None else scene.floor.depth
     index = None if scene.surface is None else scene.surface.index.astype(edges.dtype)

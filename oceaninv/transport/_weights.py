@@ -8,6 +8,7 @@ the proposal.
 
 from typing import NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
@@ -15,7 +16,7 @@ from jaxtyping import Array, Float
 from oceaninv.iops import IOPs
 from oceaninv.phase import AbstractPhase
 from oceaninv.scene import Scene
-from oceaninv.transport._paths import Domain, Lanes, Proposal, Vertex
+from oceaninv.transport._paths import Lanes, Proposal, Vertex
 from oceaninv.transport._sampling import half_angle_table
 
 _TINY = 1e-20  # 1/m: scattering coefficients below count as this in a logarithm
@@ -44,6 +45,7 @@ def mixed(scene: Scene) -> bool:
     return any(len(w.phases) > 1 for w in waters(scene))
 
 
+@eqx.filter_jit
 def propose(scene: Scene) -> Proposal:
     """The proposal made for a scene: flights at the least attenuation of all bands, angles from the
     mean phase function.  No band's weights then grow along a path."""
@@ -64,12 +66,17 @@ def medium(scene: Scene, proposal: Proposal) -> Medium:
     """The scene's water, relative to a proposal."""
     layers = waters(scene)
     log_floor = None
+
+    def log_b(b):
+        # Where a spectral factor is carried, the derivative runs through it.
+        return _log(jax.lax.stop_gradient(b) if mixed(scene) else b)
+
     if scene.floor is not None:
         log_floor = _log(scene.floor.reflectance) - _log(proposal.floor)
     return Medium(
         tuple(w.c for w in layers),
         tuple(w.c - s for w, s in zip(layers, proposal.rate, strict=True)),
-        tuple(_log_scattering(w) - jnp.log(s) for w, s in zip(layers, proposal.rate, strict=True)),
+        tuple(log_b(w.b) - jnp.log(s) for w, s in zip(layers, proposal.rate, strict=True)),
         tuple(w.b_components for w in layers),
         tuple(w.phases for w in layers),
         log_floor,
@@ -81,11 +88,6 @@ def _log(value: Float[Array, "..."]) -> Float[Array, "..."]:
     fixed = jax.lax.stop_gradient(value)
     floored = jnp.maximum(fixed, _TINY)
     return jnp.log(floored) + (value - fixed) / floored
-
-
-def _log_scattering(water: IOPs) -> Float[Array, " wl"]:
-    # With several shapes the derivative runs through their sum in `scatter`.
-    return _log(water.b if len(water.phases) == 1 else jax.lax.stop_gradient(water.b))
 
 
 def outer(lane: Float[Array, "..."], band: Float[Array, " wl"]) -> Float[Array, "... wl"]:
@@ -127,24 +129,25 @@ def scatter(
     for i, (rows, phases) in enumerate(zip(medium.rows, medium.phases, strict=True)):
         here = vertex.scattered & (vertex.layer == i)
         ratios = [phase(cosine) / density for phase in phases]
-        if len(phases) == 1:
+        if spectral is None:
             scalar = jnp.where(here, ratios[0], scalar)
         else:
             whole = jnp.maximum(jax.lax.stop_gradient(jnp.sum(rows, axis=0)), _TINY)
-            pairs = zip(ratios, rows, strict=True)
-            factor = sum((outer(r, row / whole) for r, row in pairs), start=jnp.zeros_like(spectral))
+            factor = jnp.zeros_like(spectral)
+            for ratio, row in zip(ratios, rows, strict=True):
+                factor += outer(ratio, row / whole)
             spectral = jnp.where(here[..., None], spectral * factor, spectral)
     return scalar, spectral
 
 
-def comb(
-    medium: Medium, lanes: Lanes, kept: int, u: Float[Array, " unit"]
-) -> Lanes:
+def comb(medium: Medium, lanes: Lanes, kept: int, u: Float[Array, " unit"]) -> Lanes:
     """`kept` of the lanes of every unit (unit, lane), drawn evenly along their summed importance,
     with weights that leave every expected value as it is."""
     lanes_now = jax.lax.stop_gradient(lanes)
     nowhere = tuple(jnp.zeros_like(s) for s in lanes.lengths)
-    value = lanes_now.weight[..., None] * attenuated(jax.lax.stop_gradient(medium), lanes_now, nowhere)
+    value = lanes_now.weight[..., None] * attenuated(
+        jax.lax.stop_gradient(medium), lanes_now, nowhere
+    )
     tiny = jnp.finfo(value.dtype).tiny
     shares = value / jnp.maximum(jnp.sum(value, axis=1, keepdims=True), tiny)
     proposal_share = lanes_now.weight / jnp.maximum(

@@ -7,8 +7,10 @@ from jaxtyping import Array, Float, Key
 from oceaninv.optics import Rays
 from oceaninv.scene import Scene
 from oceaninv.transport import _backward, _forward
+from oceaninv.transport._paths import Proposal
 from oceaninv.transport._sampling import key_words
 from oceaninv.transport._walks import Plan
+from oceaninv.transport._weights import propose
 from oceaninv.transport.base import AbstractTransport, Estimate, Irradiance
 
 
@@ -26,17 +28,27 @@ class MonteCarlo(AbstractTransport):
 
     - `paths`: walks per ray; for irradiance, in all.  Rounded up to whole groups of 32.
     - `bounces`: events (scatterings and reflections) per walk.
-    - `thin`: whether only one walk in four, drawn by its importance, goes on after 4, 16, 64 ...
-      events.  Saves most of the time where light is absorbed; switch it off for white media.
+    - `thin`: whether only one walk in eight, drawn by its importance, goes on after 6 events.
+      Saves most of the time where light is absorbed; switch it off for white media.
 
-    With one key, the estimate is a smooth function of the water: a fit should keep the key.
+    - `proposal`: what the walks are drawn from; `None` makes it from the scene.
+
+    With one key and a frozen proposal the estimate is a smooth function of the water, which is
+    what a fit needs: `transport.frozen(scene)`.
     """
 
     paths: int = eqx.field(static=True)
     bounces: int = eqx.field(static=True)
     thin: bool = eqx.field(static=True)
+    proposal: Proposal | None
 
-    def __init__(self, paths: int = 2**14, bounces: int = 32, thin: bool = True):
+    def __init__(
+        self,
+        paths: int = 2**14,
+        bounces: int = 32,
+        thin: bool = True,
+        proposal: Proposal | None = None,
+    ):
         """Raises ValueError for fewer than one path or bounce."""
         for name, value in (("paths", paths), ("bounces", bounces)):
             if int(value) < 1:
@@ -44,16 +56,22 @@ class MonteCarlo(AbstractTransport):
         self.paths = int(paths)
         self.bounces = int(bounces)
         self.thin = bool(thin)
+        self.proposal = proposal
+
+    def frozen(self, scene: Scene) -> "MonteCarlo":
+        """This transport with the proposal of a scene: walks that stay where they are while the
+        water around them changes.  It serves scenes with as many layers."""
+        return MonteCarlo(self.paths, self.bounces, self.thin, propose(scene))
 
     def radiance(self, scene: Scene, rays: Rays, key: Key[Array, ""] | None = None) -> Estimate:
         """See `oceaninv.radiance`."""
-        return _backward.radiance(scene, rays, _words(key), self.plan)
+        return _backward.radiance(scene, rays, _words(key), self.plan, self.proposal)
 
     def irradiance(
         self, scene: Scene, depths: Float[Array, " depth"], key: Key[Array, ""] | None = None
     ) -> Irradiance:
         """See `oceaninv.irradiance`."""
-        found = _forward.irradiance(scene, depths, _words(key), self.plan)
+        found = _forward.irradiance(scene, depths, _words(key), self.plan, self.proposal)
         return Irradiance(*(jax.tree.map(lambda leaf, i=i: leaf[:, i], found) for i in range(3)))
 
     @property

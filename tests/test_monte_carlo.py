@@ -1,0 +1,303 @@
+"""MonteCarlo: exact values and derivatives within their own standard errors; samplers; limits."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy import stats
+
+import oceaninv as oi
+from oceaninv.phase import (
+    FournierForand,
+    HenyeyGreenstein,
+    Isotropic,
+    Seawater,
+    TwoTermHenyeyGreenstein,
+    petzold,
+)
+from oceaninv.transport import _sampling, _walks
+
+WAVELENGTH = np.array([450.0, 550.0])
+A = jnp.asarray
+
+
+def sidak(count: int, level: float = 0.01) -> float:
+    """Greatest |z| that `count` right cases pass together with probability 1 - level."""
+    return float(stats.norm.isf((1 - (1 - level) ** (1 / count)) / 2))
+
+
+def within(found, exact, few: bool = True) -> None:
+    """A z-test of all entries at once; no band's error may be more than a fifth of its value."""
+    value, stderr = np.asarray(found.value), np.asarray(found.stderr)
+    exact = np.asarray(exact)
+    counted = stderr > 0
+    np.testing.assert_allclose(value[~counted], exact[~counted], rtol=1e-6)
+    z = (value - exact)[counted] / stderr[counted]
+    assert np.abs(z).max() < sidak(z.size), z
+    if few:
+        assert (stderr < 0.2 * np.abs(exact) + 1e-12).all()
+
+
+def nadir(p, dtype=jnp.float64):
+    """The camera that looks straight down from above: p = a, b, g, floor, depth."""
+    one = jnp.ones(1, dtype)
+    water = oi.IOPs([500.0], p[0] * one, p[1] * one, HenyeyGreenstein(p[2]))
+    return oi.Scene(water, oi.Light(A(0.0, dtype), one), floor=oi.Floor(10.0, p[3] * one))
+
+
+def down(dtype=jnp.float64):
+    return oi.Rays(jnp.zeros(3, dtype), A([[0.0, 0.0, 1.0]], dtype))
+
+
+@jax.jit
+def nadir_groups(p, key):
+    """Value, standard error, bias and Jacobian of the nadir radiance."""
+
+    def value(p):
+        found = oi.radiance(nadir(p, p.dtype), down(p.dtype), oi.MonteCarlo(2**13, 32), key=key)
+        return found.value[0, 0], found
+
+    jacobian, found = jax.jacfwd(value, has_aux=True)(p)
+    return found.value[0, 0], found.stderr[0, 0], found.bias[0, 0], jacobian
+
+
+EXACT = 0.02425532, np.array([-0.467556, 0.0104316, -0.0142426])
+
+
+def test_nadir_camera_and_its_derivatives():
+    """Twelve keys: value and d/d(a, b, g) against the exact ones, |z| < 3."""
+    p = A([0.065, 0.178, 0.8, 0.3])
+    runs = [nadir_groups(p, jax.random.key(i)) for i in range(12)]
+    value = np.array([r[0] for r in runs])
+    z = (value.mean() - EXACT[0]) / (value.std(ddof=1) / np.sqrt(len(runs)))
+    assert abs(z) < 3
+    gradient = np.array([r[3][:3] for r in runs])
+    z = (gradient.mean(0) - EXACT[1]) / (gradient.std(0, ddof=1) / np.sqrt(len(runs)))
+    assert (np.abs(z) < 3.5).all(), z
+    # The stated error is that of the scatter between keys, and truncation is far below it.
+    stated = np.mean([r[1] for r in runs])
+    assert 0.5 < value.std(ddof=1) / stated < 1.8
+    assert max(r[2] for r in runs) < 0.01 * stated
+
+
+EXTREMES = {
+    "thin": (1e-5, 1e-4, 0.8, 0.0),
+    "thick": (10.0, 90.0, 0.9, 0.3),
+    "milk": (1e-6, 1.0, 0.5, 0.3),
+    "no scattering": (0.1, 0.0, 0.8, 0.3),
+    "no absorption": (0.0, 0.3, 0.8, 0.3),
+    "vacuum": (0.0, 0.0, 0.8, 0.3),
+    "peaked": (0.1, 0.5, 0.99, 1.0),
+    "backward": (0.1, 0.5, -0.9, 0.0),
+}
+
+
+@pytest.mark.parametrize("dtype", [jnp.float64, jnp.float32])
+def test_extremes_are_finite(dtype):
+    """Value, stderr and every derivative, from optical thickness 1e-3 to 1e3."""
+    for name, p in EXTREMES.items():
+        value, stderr, bias, jacobian = nadir_groups(A(p, dtype), jax.random.key(1))
+        assert value.dtype == jacobian.dtype == stderr.dtype == dtype
+        numbers = np.array([value, stderr, *jacobian])
+        assert np.isfinite(numbers).all(), (name, numbers)
+        assert value >= 0, name
+        assert np.isfinite(bias) or name in ("no absorption", "vacuum"), name
+
+
+def test_no_scattering_is_the_floor_and_its_derivatives():
+    """At b = 0: L = rho/pi exp(-2 a H), and d/db of single scattering is not lost."""
+    a, rho, depth = 0.1, 0.3, 10.0
+    value, stderr, _, jacobian = nadir_groups(A([a, 0.0, 0.0, rho]), jax.random.key(0))
+    exact = rho / np.pi * np.exp(-2 * a * depth)
+    np.testing.assert_allclose(value, exact, rtol=1e-12)
+    np.testing.assert_allclose(stderr, 0.0, atol=1e-15)
+    np.testing.assert_allclose(jacobian[0], -2 * depth * exact, rtol=1e-9)
+    np.testing.assert_allclose(jacobian[3], exact / rho, rtol=1e-9)
+    step = 1e-3
+    below = [nadir_groups(A([a, b, 0.0, rho]), jax.random.key(0))[0] for b in (step, 2 * step)]
+    slope = (4 * below[0] - below[1] - 3 * value) / (2 * step)
+    np.testing.assert_allclose(jacobian[1], slope, rtol=0.03)
+
+
+SKY = oi.Light(40.0, A([1.0, 0.8]), A([0.05, 0.1]))
+
+
+def two_shapes(a, scale):
+    phases = (Seawater(), HenyeyGreenstein(0.85))
+    return oi.IOPs(WAVELENGTH, A(a), A([[0.01, 0.005], [0.2, 0.3]]) * scale, phases)
+
+
+LAYERED = oi.Scene(
+    oi.Layers(
+        A([1.5]),
+        (two_shapes([0.1, 0.2], 1.0), two_shapes([0.05, 0.1], 2.0)),
+    ),
+    SKY,
+    oi.FlatSurface(1.34),
+    oi.Floor(6.0, A([0.1, 0.4])),
+)
+
+
+@pytest.fixture(scope="module")
+def layered():
+    return oi.radiance(LAYERED, LOOKS, oi.MonteCarlo(2**12), key=jax.random.key(3))
+
+
+LOOKS = oi.Rays(
+    A([0.0, 0.0, 1.0]),
+    A([[0.0, 0.0, 1.0], [0.6, 0.0, 0.8], [-0.6, 0.0, -0.8], [0.0, 1.0, 0.0], [0.8, 0.0, -0.6]]),
+    A([np.inf, np.inf, np.inf, np.inf, 1.2]),
+)
+
+
+def test_layers_surface_floor_and_sky_against_the_exact_radiance(layered):
+    """Two shapes in two layers, seen down, up through the window, level, and along 1.2 m."""
+    within(layered, oi.radiance(LAYERED, LOOKS, oi.PlaneParallel(16)).value)
+
+
+def test_layers_surface_floor_and_sky_against_the_exact_irradiance():
+    depths = A([0.0, 1.0, 2.5, 5.0])
+    found = oi.irradiance(LAYERED, depths, oi.MonteCarlo(2**15), key=jax.random.key(0))
+    exact = oi.irradiance(LAYERED, depths, oi.PlaneParallel(16))
+    for name in ("Ed", "Eu", "E0"):
+        within(getattr(found, name), getattr(exact, name).value)
+
+
+def test_chunks_do_not_matter(layered, monkeypatch):
+    monkeypatch.setattr(_walks, "_CHUNK", 1000)
+    found = oi.radiance(LAYERED, LOOKS, oi.MonteCarlo(2**12), key=jax.random.key(3))
+    np.testing.assert_allclose(found.value, layered.value, rtol=1e-12)
+    np.testing.assert_allclose(found.stderr, layered.stderr, rtol=1e-9)
+
+
+def test_frozen_walks_are_smooth_in_the_water():
+    """Reverse mode is forward mode, and both are the differences of one set of walks."""
+    p = A([0.065, 0.178, 0.8, 0.3])
+    transport = oi.MonteCarlo(32, 4).frozen(nadir(p))
+
+    @jax.jit
+    def value(p):
+        return oi.radiance(nadir(p), down(), transport, key=jax.random.key(0)).value[0, 0]
+
+    forward, reverse = jax.jacfwd(value)(p), jax.grad(value)(p)
+    np.testing.assert_allclose(reverse, forward, rtol=1e-10)
+    differences = [(value(p + h) - value(p - h)) / 2e-5 for h in 1e-5 * np.eye(4)]
+    np.testing.assert_allclose(forward, differences, rtol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("name", "scene"),
+    [
+        ("light.zenith", lambda x: oi.Scene(nadir(P).water, oi.Light(x, jnp.ones(1)))),
+        (
+            "floor.depth",
+            lambda x: oi.Scene(nadir(P).water, nadir(P).light, floor=oi.Floor(x, jnp.ones(1))),
+        ),
+        (
+            "surface.index",
+            lambda x: oi.Scene(nadir(P).water, nadir(P).light, oi.FlatSurface(1 + 0.1 * x)),
+        ),
+    ],
+)
+def test_geometry_has_no_derivative(name, scene):
+    def value(x):
+        return oi.radiance(scene(x), down(), oi.MonteCarlo(32, 2), key=jax.random.key(0)).value[
+            0, 0
+        ]
+
+    for derivative in (jax.jacfwd, jax.grad):
+        with pytest.raises(ValueError, match=name):
+            derivative(value)(A(2.0))
+
+
+P = A([0.065, 0.178, 0.8, 0.3])
+
+
+def test_rays_and_depths_have_no_derivative():
+    transport, key = oi.MonteCarlo(32, 2), jax.random.key(0)
+    with pytest.raises(ValueError, match=r"rays\.origin"):
+        jax.jacfwd(
+            lambda z: (
+                oi.radiance(
+                    nadir(P), oi.Rays(A([0.0, 0.0, 1.0]) * z, down().direction), transport, key=key
+                ).value
+            )
+        )(A(1.0))
+    with pytest.raises(ValueError, match="depths"):
+        jax.jacfwd(lambda z: oi.irradiance(nadir(P), z, transport, key=key).Ed.value)(A(1.0))
+
+
+def test_bad_input_says_what_to_do():
+    with pytest.raises(ValueError, match="paths must be at least 1"):
+        oi.MonteCarlo(0)
+    with pytest.raises(ValueError, match="bounces must be at least 1"):
+        oi.MonteCarlo(8, 0)
+    with pytest.raises(ValueError, match="pass key="):
+        oi.radiance(nadir(P), down(), oi.MonteCarlo(32))
+
+
+PHASES = {
+    "isotropic": Isotropic(),
+    "HG 0.8": HenyeyGreenstein(0.8),
+    "HG 0.99": HenyeyGreenstein(0.99),
+    "HG -0.5": HenyeyGreenstein(-0.5),
+    "TTHG": TwoTermHenyeyGreenstein(0.95, -0.4, 0.9),
+    "seawater": Seawater(),
+    "Fournier-Forand": FournierForand(0.0183),
+    "Petzold": petzold(),
+}
+DRAWS = 2**17
+
+
+@pytest.mark.parametrize("name", PHASES)
+def test_scattering_angles_are_drawn_with_their_density(name):
+    """Chi-squared of 64 bins of sin^2(theta/2) against the stated density, and the mean of
+    phase/density, which is 1: no angle is left out."""
+    phase = PHASES[name]
+    table = _sampling.half_angle_table((phase,), jnp.ones(1))[None]
+    words = _sampling.key_words(jax.random.key(5))
+    paths = jnp.arange(DRAWS, dtype=jnp.uint32)
+    u = _sampling.uniforms(paths, jnp.uint32(3), words, jnp.float64)
+    half, density = _sampling.sample_half_angle(table, jnp.zeros(DRAWS, jnp.int32), u[1])
+    edges = np.asarray(table[0])[:: _sampling.BINS // 64]
+    counts, _ = np.histogram(np.asarray(half), edges)
+    assert stats.chisquare(counts).pvalue > 1e-4
+    ratio = np.asarray(phase(1 - 2 * half) / density)
+    assert abs(ratio.mean() - 1) < 4 * ratio.std() / np.sqrt(DRAWS) + 1e-6
+    assert ratio.std() < 0.1
+
+
+def test_directions_keep_angle_azimuth_and_length():
+    words = _sampling.key_words(jax.random.key(6))
+    u = _sampling.uniforms(jnp.arange(DRAWS, dtype=jnp.uint32), jnp.uint32(0), words, jnp.float64)
+    polar = 2 * u[0] - 1
+    level = jnp.sqrt(1 - polar**2)
+    start = (level * jnp.cos(6.28 * u[3]), level * jnp.sin(6.28 * u[3]), polar)
+    half = u[1] ** 3
+    turned = _sampling.turn(start, half, u[2])
+    cosine = sum(a * b for a, b in zip(start, turned, strict=True))
+    np.testing.assert_allclose(cosine, 1 - 2 * half, atol=1e-12)
+    np.testing.assert_allclose(sum(a**2 for a in turned), 1.0, rtol=1e-12)
+    # About a fixed direction the azimuth is uniform, and a Lambertian cosine squared is.
+    east = tuple(jnp.full(DRAWS, v) for v in (0.6, 0.0, -0.8))
+    x, y, z = _sampling.lambertian(east, u[1], u[2])
+    squared = np.asarray(0.6 * x - 0.8 * z) ** 2
+    azimuth = np.arctan2(np.asarray(y), np.asarray(0.8 * x + 0.6 * z)) / (2 * np.pi) + 0.5
+    for sample in (squared, azimuth, *map(np.asarray, u)):
+        counts, _ = np.histogram(sample, 64, (0.0, 1.0))
+        assert stats.chisquare(counts).pvalue > 1e-4
+
+
+def test_draws_of_neighbours_and_events_are_unrelated():
+    """Correlation between the numbers of one draw, of neighbouring paths and of successive
+    events, and the pairs' chi-squared on a grid."""
+    words = _sampling.key_words(jax.random.key(7))
+    paths = jnp.arange(DRAWS, dtype=jnp.uint32)
+    first = np.asarray(_sampling.uniforms(paths, jnp.uint32(0), words, jnp.float64))
+    second = np.asarray(_sampling.uniforms(paths, jnp.uint32(1), words, jnp.float64))
+    pairs = [(first[i], first[j]) for i in range(4) for j in range(i)]
+    pairs += [(first[i], second[i]) for i in range(4)]
+    pairs += [(first[i][1:], first[i][:-1]) for i in range(4)]
+    for x, y in pairs:
+        counts, *_ = np.histogram2d(x, y, 16, ((0, 1), (0, 1)))
+        assert stats.chisquare(counts.ravel()).pvalue > 1e-4
