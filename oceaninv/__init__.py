@@ -40,6 +40,7 @@ from oceaninv.transport.front import irradiance, photograph, radiance
 from oceaninv.transport.kd import KdTransport
 from oceaninv.transport.monte_carlo import MonteCarlo
 from oceaninv.transport.plane_parallel import PlaneParallel
+from oceaninv.transport.shadows import Shadows
 from oceaninv.transport.two_stream import TwoStream
 
 __all__ = [
@@ -72,6 +73,7 @@ __all__ = [
     "Scene",
     "SceneFile",
     "Sensor",
+    "Shadows",
     "Sphere",
     "SpotLamp",
     "TwoStream",

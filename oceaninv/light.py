@@ -160,8 +160,8 @@ def _lamp(position, intensity):
     intensity = jnp.asarray(intensity)
     if intensity.ndim != 1:
         raise ValueError(f"intensity must have shape (wl,), not {intensity.shape}.")
-    check_concrete("position", position, -np.inf)
     position = jnp.asarray(position, dtype=intensity.dtype)
+    check_concrete("position", position, -np.inf)
     if position.shape != (3,):
         raise ValueError(f"position must be three numbers x, y, z in metres, not {position.shape}.")
     return position, intensity

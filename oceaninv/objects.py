@@ -67,8 +67,8 @@ def _reflectance(value) -> Float[Array, " wl"]:
 
 
 def _point(name: str, value, dtype) -> Float[Array, "3"]:
-    check_concrete(name, value, -np.inf)
     value = jnp.asarray(value, dtype=dtype)
+    check_concrete(name, value, -np.inf)
     if value.shape != (3,):
         raise ValueError(f"{name} must be three numbers x, y, z in metres, not {value.shape}.")
     return value

@@ -227,11 +227,3 @@ def _scene(**more):
 def test_refusals(make, message):
     with pytest.raises(ValueError, match=message):
         make()
-
-
-def test_closed_forms_refuse_what_they_do_not_see():
-    scene = _scene(objects=(SPHERE,))
-    with pytest.raises(ValueError, match="TwoStream knows no objects and no lamps: take Monte"):
-        oi.irradiance(scene, [1.0])
-    with pytest.raises(ValueError, match="PlaneParallel knows no objects"):
-        oi.radiance(scene, oi.Rays((0.0, 0, 1), (0.0, 0, 1)), oi.PlaneParallel(streams=4))

@@ -57,10 +57,13 @@ class AbstractTransport(eqx.Module):
 
     `sees_things`: whether it honours the objects and lamps of a scene by itself.
     `inelastic`: whether it honours its inelastic processes.
+    `in_pieces`: whether a ray costs the same in a small batch as in a large one, so that pictures
+    are drawn in pieces that fit the memory.
     """
 
     sees_things: ClassVar[bool] = False
     inelastic: ClassVar[bool] = False
+    in_pieces: ClassVar[bool] = False
 
     @abc.abstractmethod
     def radiance(self, scene: Scene, rays: Rays, key: Key[Array, ""] | None) -> Estimate:

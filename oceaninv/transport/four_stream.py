@@ -37,6 +37,8 @@ class FourStream(AbstractTransport):
     - Differentiable in everything, forward and reverse.
     """
 
+    in_pieces = True
+
     def radiance(self, scene: Scene, rays: Rays, key: Key[Array, ""] | None = None) -> Estimate:
         """See `oceaninv.radiance`."""
         field = solve(scene, 2)

@@ -1,5 +1,7 @@
 """The front ends: any transport answers for any scene, after its input has been checked."""
 
+import equinox as eqx
+import jax
 import jax.core
 import jax.numpy as jnp
 import numpy as np
@@ -8,6 +10,7 @@ from oceaninv.camera import Camera
 from oceaninv.optics import Rays
 from oceaninv.scene import Scene
 from oceaninv.transport.base import AbstractTransport, Estimate, Irradiance
+from oceaninv.transport.shadows import Shadows
 from oceaninv.transport.two_stream import TwoStream
 
 
@@ -27,6 +30,11 @@ def radiance(
     Raises ValueError for origins outside the water, directions that are not unit vectors and
     lengths that are not positive.
     """
+    _check_rays(scene, rays)
+    return _able(scene, transport).radiance(scene, rays, key)
+
+
+def _check_rays(scene: Scene, rays: Rays) -> None:
     scene.check_depths(rays.origin[:, 2])
     if not isinstance(rays.direction, jax.core.Tracer):
         norms = np.linalg.norm(np.asarray(rays.direction), axis=1)
@@ -37,7 +45,6 @@ def radiance(
         lengths = np.asarray(rays.length)
         if not np.all(lengths > 0):
             raise ValueError(f"rays.length must be positive; the least is {lengths.min():g} m.")
-    return _able(scene, transport).radiance(scene, rays, key)
 
 
 def irradiance(
@@ -59,30 +66,56 @@ def photograph(
     """Linear channel values of a photograph, (row, column, channel).
 
     Radiance is taken as linear between the scene's wavelengths and integrated against the
-    camera's response (unit: radiance x response x nm).
+    camera's response (unit: radiance x response x nm).  Objects and lamps are drawn by
+    `Shadows` around a transport that does not know them.
     """
-    seen = radiance(scene, camera.rays(), transport, key=key)
-    weights = jnp.asarray(camera.response.weights(scene.wavelength), dtype=seen.value.dtype)
-    shape = (camera.height, camera.width, weights.shape[0])
-    return Estimate(
-        (seen.value @ weights.T).reshape(shape),
+    transport = _able(scene, transport)
+    rays = camera.rays()
+    _check_rays(scene, rays)
+    return _photograph(scene, camera, rays, transport, key)
+
+
+_PIECE = 2**15  # rays
+
+
+@eqx.filter_jit
+def _photograph(scene: Scene, camera: Camera, rays: Rays, transport, key) -> Estimate:
+    dtype = scene.light.direct.dtype
+    weights = jnp.asarray(camera.response.weights(scene.wavelength), dtype=dtype).T
+    origin, direction = rays.origin.astype(dtype), rays.direction.astype(dtype)
+
+    def channels(origin, direction):
+        seen = transport.radiance(scene, Rays(origin, direction), key)
         # Bands of one ray share their paths: their errors add, at worst.
-        (seen.stderr @ jnp.abs(weights).T).reshape(shape),
-        (seen.bias @ jnp.abs(weights).T).reshape(shape),
-    )
+        worst = jnp.abs(weights)
+        return seen.value @ weights, seen.stderr @ worst, seen.bias @ worst
+
+    count = origin.shape[0]
+    field = transport.base if isinstance(transport, Shadows) else transport
+    if not field.in_pieces or count <= _PIECE:
+        found = channels(origin, direction)
+    else:
+        pieces = -(-count // _PIECE)
+        # Equal pieces of the picture; the last is filled up with copies of the last ray.
+        padding = ((0, pieces * _PIECE - count), (0, 0))
+        cut = [
+            jnp.pad(v, padding, mode="edge").reshape(pieces, _PIECE, 3) for v in (origin, direction)
+        ]
+        found = jax.lax.map(lambda piece: channels(*piece), tuple(cut))
+        found = tuple(v.reshape(pieces * _PIECE, -1)[:count] for v in found)
+    shape = (camera.height, camera.width, weights.shape[1])
+    return Estimate(*(v.reshape(shape) for v in found))
 
 
 def _able(scene: Scene, transport: AbstractTransport | None) -> AbstractTransport:
-    """The transport, `TwoStream()` unless given; ValueError if it cannot see what is there."""
+    """The transport, `TwoStream()` unless given, made to see the things that are there."""
     transport = TwoStream() if transport is None else transport
-    if (scene.objects or scene.lamps) and not transport.sees_things:
+    field = transport.base if isinstance(transport, Shadows) else transport
+    if scene.inelastic is not None and not field.inelastic:
         raise ValueError(
-            f"{type(transport).__name__} knows no objects and no lamps: take MonteCarlo, or leave "
-            "them out and give rays the length at which an object ends them."
-        )
-    if scene.inelastic is not None and not transport.inelastic:
-        raise ValueError(
-            f"{type(transport).__name__} knows no inelastic processes: take PlaneParallel or "
+            f"{type(field).__name__} knows no inelastic processes: take PlaneParallel or "
             "MonteCarlo, or a Scene without inelastic."
         )
+    if (scene.objects or scene.lamps) and not transport.sees_things:
+        return Shadows(transport)
     return transport

@@ -39,6 +39,8 @@ class KdTransport(AbstractTransport):
     - **Differentiable in** everything, forward and reverse; a must be positive.
     """
 
+    in_pieces = True
+
     kd: Float[Array, " wl"] | None
 
     def __init__(self, kd=None):

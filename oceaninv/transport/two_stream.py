@@ -42,6 +42,8 @@ class TwoStream(AbstractTransport):
     on both.
     """
 
+    in_pieces = True
+
     def radiance(self, scene: Scene, rays: Rays, key: Key[Array, ""] | None = None) -> Estimate:
         """See `oceaninv.radiance`."""
         field = solve(scene)
