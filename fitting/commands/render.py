@@ -1,0 +1,119 @@
+"""`oceaninv render`."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+_TRANSPORTS = ("two-stream", "four-stream", "kd", "plane-parallel", "monte-carlo")
+
+
+def render_command(
+    path: Annotated[Path, typer.Argument(help="Scene file (toml).")],
+    output: Annotated[
+        Path,
+        typer.Option(
+            "--output", "-o", help=".exr (float, layers), .tif (16 bit, linear) or .png (sRGB)."
+        ),
+    ],
+    transport: Annotated[
+        str, typer.Option(help="One of " + ", ".join(_TRANSPORTS) + ".")
+    ] = "two-stream",
+    seed: Annotated[int, typer.Option(help="Of the sensor's noise and of monte-carlo.")] = 0,
+    bands: Annotated[int | None, typer.Option(help="Bands instead of the file's.")] = None,
+    width: Annotated[int | None, typer.Option(help="Pixels across instead of the file's.")] = None,
+    steps: Annotated[int, typer.Option(help="Steps along a line of sight for shadows.")] = 48,
+    paths: Annotated[int, typer.Option(help="monte-carlo: paths per pixel.")] = 256,
+    spectral: Annotated[bool, typer.Option("--spectral", help="EXR of every band.")] = False,
+    linear: Annotated[bool, typer.Option("--linear", help="PNG of 16 bits, linear.")] = False,
+    animate: Annotated[
+        int | None, typer.Option(help="Draw this many frames while the camera moves by --rise.")
+    ] = None,
+    rise: Annotated[float, typer.Option(help="Metres that --animate lifts the camera.")] = 1.0,
+) -> None:
+    """Draw a scene."""
+    import dataclasses
+
+    from rich.console import Console
+    from rich.progress import Progress
+
+    from fitting import render
+    from oceaninv import load_scene
+
+    if output.suffix.lower() not in (".exr", ".tif", ".tiff", ".png"):
+        raise ValueError(f"--output is {output}; it must end in .exr, .tif or .png.")
+    if not output.parent.is_dir():
+        raise ValueError(f"cannot write {output}: the folder {output.parent} does not exist.")
+    if bands is not None and bands < 2:
+        raise ValueError(f"--bands is {bands}; at least 2 are needed.")
+    if steps < 1 or paths < 1:
+        raise ValueError(f"--steps {steps} and --paths {paths} must be at least 1.")
+    if animate is not None and animate < 2:
+        raise ValueError(f"--animate is {animate}; it must be at least 2 frames.")
+    found = load_scene(path, bands=bands)
+    if width is not None:
+        found = dataclasses.replace(found, camera=_resized(found.camera, width))
+    model = _transport(transport, found, steps, paths)
+    frames = [(output, found)] if animate is None else _frames(found, output, animate, rise)
+    with Progress(console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task(found.title, total=len(frames))
+        for i, (target, frame) in enumerate(frames):
+            picture = render.draw(
+                frame,
+                model,
+                seed=seed + i,
+                veil=output.suffix.lower() == ".exr",
+                progress=lambda share, i=i: bar.update(task, completed=i + share),
+            )
+            note = render.metadata(path, frame, model, seed + i, picture)
+            render.save(
+                target, frame, picture, note, linear=linear, spectral=spectral, seed=seed + i
+            )
+    names = str(output) if animate is None else f"{frames[0][0]} ... {frames[-1][0].name}"
+    print(f"wrote {names}: {found.camera.width} x {found.camera.height}, {transport}")
+
+
+def _transport(name: str, found, steps: int, paths: int):
+    import oceaninv as oi
+
+    if name not in _TRANSPORTS:
+        raise ValueError(f"--transport is {name!r}; it must be one of {', '.join(_TRANSPORTS)}.")
+    if name == "monte-carlo":
+        return oi.MonteCarlo(paths=paths)
+    base = {
+        "two-stream": oi.TwoStream,
+        "four-stream": oi.FourStream,
+        "kd": lambda: oi.KdTransport(found.kd),
+        "plane-parallel": oi.PlaneParallel,
+    }[name]()
+    scene = found.scene
+    return oi.Shadows(base, steps) if scene.objects or scene.lamps else base
+
+
+def _resized(camera, width: int):
+    import dataclasses
+
+    if width < 1:
+        raise ValueError(f"--width is {width}; it must be at least 1.")
+    height = max(round(camera.height * width / camera.width), 1)
+    return dataclasses.replace(camera, width=width, height=height)
+
+
+def _frames(found, output: Path, count: int, rise: float):
+    """Names and scenes of an animation: the camera moves straight up by `rise` metres."""
+    import dataclasses
+
+    start = found.camera.position
+    depth = float(start[2])
+    limit = None if found.scene.floor is None else float(found.scene.floor.depth)
+    if depth - rise < 0 or (limit is not None and depth - rise >= limit):
+        raise ValueError(
+            f"--rise is {rise:g}, which takes the camera from {depth:g} m out of the water."
+        )
+    frames = []
+    for i in range(count):
+        up = rise * i / (count - 1)
+        camera = dataclasses.replace(found.camera, position=start.at[2].add(-up))
+        name = output.with_name(f"{output.stem}_{i + 1:04d}{output.suffix}")
+        frames.append((name, dataclasses.replace(found, camera=camera)))
+    return frames
