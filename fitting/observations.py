@@ -7,10 +7,9 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float
 
+from fitting._sensor import MIN_DEPTHS, darkness, noise_floor, smooth_reference, thinned
 from oceaninv.spectrum import Response
 from oceaninv.tables import check_wavelength
-
-MIN_DEPTHS = 5
 
 
 def _array(name: str, value, ndim: int) -> np.ndarray:
@@ -22,20 +21,30 @@ def _array(name: str, value, ndim: int) -> np.ndarray:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Profile:
-    """Downward irradiance at depths.
+    """Irradiance at depths.
 
     **Arguments:**
 
-    - `depth`: (depth,) metres, positive down, in any order; at least 5.
+    - `depth`: (depth,) metres, positive down, in the order of measurement; at least 5.
     - `wavelength`: (wl,) nm, strictly increasing.
-    - `Ed`: (depth, wl) W m-2 nm-1 (any unit: Kd does not depend on it).  NaN, zero and negative
-      values are masked and counted in `masked`.
+    - `Ed`: (depth, wl) downward irradiance, W m-2 nm-1 (any unit: Kd does not depend on it).
+      NaN, zero and negative values beyond the noise in darkness are masked, counted in `masked`.
     - `sigma`: (depth, wl) standard deviations of Ed; `None` estimates a relative noise per band
-      from the residuals.
+      from the residuals, which then holds what an uncertain depth adds as well.
     - `floor`: (wl,) standard deviation of the noise in darkness, in the unit of Ed, used when
       `sigma` is None; `None` estimates it from the deepest tenth of the cast.
     - `solar_zenith`: degrees in air, or None if unknown.
     - `source`: where the numbers come from, for reports.
+    - `Eu`, `Lu`: (depth, wl) upward irradiance and radiance of the same bands; NaN where absent.
+    - `surface`: (depth, wl) irradiance above the water at the same moments.  Its slow changes are
+      divided out of Ed; quick ones and dips that end, such as those of a shadow band, are not.
+    - `PAR`: (depth,) photosynthetically available radiation, any unit.
+    - `tilt`: (depth,) degrees, for reports.
+    - `counts`: what was left out before, by reason, for reports.
+
+    Casts of more than 2,048 samples are reduced to medians of neighbours in depth.  `dark`,
+    `dark_sd` (wl,): the reading in darkness, where the cast reaches it, else 0; `reference`
+    (depth, wl): the light above relative to its median.
 
     Raises ValueError, naming band and count, when a band keeps fewer than 5 depths.
     """
@@ -48,9 +57,31 @@ class Profile:
     mask: Bool[np.ndarray, "depth wl"]
     solar_zenith: float | None
     source: str
+    Eu: Float[np.ndarray, "depth wl"] | None
+    Lu: Float[np.ndarray, "depth wl"] | None
+    reference: Float[np.ndarray, "depth wl"] | None
+    PAR: Float[np.ndarray, " depth"] | None
+    tilt: Float[np.ndarray, " depth"] | None
+    dark: Float[np.ndarray, " wl"]
+    dark_sd: Float[np.ndarray, " wl"]
+    counts: Mapping[str, int]
 
     def __init__(
-        self, depth, wavelength, Ed, sigma=None, floor=None, solar_zenith=None, source="memory"
+        self,
+        depth,
+        wavelength,
+        Ed,
+        sigma=None,
+        floor=None,
+        solar_zenith=None,
+        source="memory",
+        *,
+        Eu=None,
+        Lu=None,
+        surface=None,
+        PAR=None,
+        tilt=None,
+        counts: Mapping[str, int] | None = None,
     ):
         depth, wavelength = _array("depth", depth, 1), check_wavelength(wavelength)
         Ed = _array("Ed", Ed, 2)
@@ -61,14 +92,33 @@ class Profile:
             )
         if not np.all(np.isfinite(depth)):
             raise ValueError(f"depth holds {int(np.sum(~np.isfinite(depth)))} missing values.")
+        tables = {"Ed": Ed, "sigma": sigma, "Eu": Eu, "Lu": Lu, "reference": surface}
+        lines = {"PAR": PAR, "tilt": tilt}
+        for name, value in {**tables, **lines}.items():
+            if value is not None:
+                array = _array(name, value, 2 if name in tables else 1)
+                if array.shape != (Ed.shape if name in tables else depth.shape):
+                    raise ValueError(
+                        f"{name if name != 'reference' else 'surface'} must have the shape of "
+                        f"{'Ed' if name in tables else 'depth'}, "
+                        f"{Ed.shape if name in tables else depth.shape}."
+                    )
+                (tables if name in tables else lines)[name] = array
+        if surface is not None:
+            tables["reference"] = smooth_reference(tables["reference"])
         order = np.argsort(depth, kind="stable")
-        depth, Ed = depth[order], Ed[order]
-        mask = np.isfinite(Ed) & (Ed > 0) & (depth >= 0)[:, None]
+        data = {"depth": depth, **tables, **lines}
+        data = {k: None if v is None else v[order] for k, v in data.items()}
+        data, merged = thinned(data)
+        depth, Ed, sigma = data["depth"], data["Ed"], data["sigma"]
+        dark, dark_sd, scatter = darkness(Ed)
+        # Zero is what a digital sensor writes for nothing; negative noise around darkness is data.
+        least = np.where(dark_sd > 0, dark - 5.0 * scatter, 0.0)
+        mask = np.isfinite(Ed) & (Ed != 0) & (Ed > least) & (depth >= 0)[:, None]
         if sigma is not None:
-            sigma = _array("sigma", sigma, 2)[order]
-            if sigma.shape != Ed.shape:
-                raise ValueError(f"sigma must have the shape of Ed, {Ed.shape}.")
             mask &= np.isfinite(sigma) & (sigma > 0)
+        if data["reference"] is not None:
+            mask &= np.isfinite(data["reference"]) & (data["reference"] > 0)
         for band, kept in zip(wavelength, mask.sum(axis=0), strict=True):
             if kept < MIN_DEPTHS:
                 raise ValueError(
@@ -78,34 +128,28 @@ class Profile:
         if solar_zenith is not None and not 0 <= solar_zenith < 90:
             raise ValueError(f"solar_zenith must lie in [0, 90) degrees, not {solar_zenith:g}.")
         if floor is None:
-            floor = _noise_floor(Ed, mask)
+            floor = np.where(dark_sd > 0, scatter, noise_floor(Ed, mask))
         floor = np.broadcast_to(np.asarray(floor, dtype=np.float64), wavelength.shape)
-        for name, value in (
-            ("depth", depth),
-            ("wavelength", wavelength),
-            ("Ed", Ed),
-            ("sigma", sigma),
-            ("floor", floor),
-            ("mask", mask),
-            ("solar_zenith", solar_zenith),
-            ("source", source),
-        ):
+        counts = dict(counts or {})
+        if merged > 1:
+            counts["samples merged into each median"] = merged
+        for name, value in {
+            **data,
+            "wavelength": wavelength,
+            "floor": floor,
+            "mask": mask,
+            "solar_zenith": solar_zenith,
+            "source": source,
+            "dark": dark,
+            "dark_sd": dark_sd,
+            "counts": counts,
+        }.items():
             object.__setattr__(self, name, value)
 
     @property
     def masked(self) -> int:
         """How many values were missing, zero, negative or above the surface."""
         return int((~self.mask).sum())
-
-
-def _noise_floor(Ed: np.ndarray, mask: np.ndarray) -> np.ndarray:
-    """Scatter of the deepest tenth of each band, from the differences of neighbours."""
-    floors = []
-    for values, kept in zip(Ed.T, mask.T, strict=True):
-        deep = values[kept][-max(MIN_DEPTHS, kept.sum() // 10) :]
-        floors.append(1.4826 * np.median(np.abs(np.diff(deep))) / np.sqrt(2.0))
-    # Never quite zero: a digital zero would claim perfect knowledge of darkness.
-    return np.maximum(floors, 1e-12 * np.nanmax(np.where(mask, Ed, np.nan), axis=0))
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

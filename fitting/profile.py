@@ -7,7 +7,9 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 import oceaninv as oi
-from fitting._bands import BandFit, choose_interfaces, fit_bands, thickness
+from fitting._bands import BandFit, thickness
+from fitting._evidence import choose_interfaces, runs_p, whitened
+from fitting._lanes import Job, fit_lanes, light_of, padded, window
 from fitting._programs import kept
 from fitting.observations import MIN_DEPTHS, Profile
 from fitting.parameters import (
@@ -31,71 +33,24 @@ from fitting.solve import (
 from oceaninv.transport.base import AbstractTransport
 
 
-def light_level_mask(profile: Profile, level: float = 0.1) -> np.ndarray:
-    """(depth, wl) mask of the samples above the depth where Ed falls to `level` of its maximum.
-
-    The maximum and the crossing are taken on a running median of 7, which single waves do not
-    move.  A band that never falls so far, or does so within 5 samples, is used as it is.
-    """
-    mask = profile.mask.copy()
-    for i in range(len(profile.wavelength)):
-        kept = np.flatnonzero(mask[:, i])
-        values = profile.Ed[kept, i]
-        padded = np.pad(values, 3, mode="edge")
-        smooth = np.median(np.lib.stride_tricks.sliding_window_view(padded, 7), axis=1)
-        dark = np.flatnonzero(smooth < level * smooth.max())
-        dark = dark[dark >= MIN_DEPTHS]
-        if dark.size:
-            mask[kept[dark[0]] :, i] = False
-    return mask
+def _band_model(profile: Profile, x: np.ndarray, interfaces: np.ndarray) -> np.ndarray:
+    """(depth, wl) what band fits `x` (wl, 1 + layer) say that the sensor reads."""
+    path = thickness(profile.depth, interfaces)
+    light = np.exp(x[None, :, 0] - path @ np.exp(x[:, 1:]).T)
+    return profile.dark + (light if profile.reference is None else profile.reference * light)
 
 
-def _window(profile: Profile, depth_range) -> tuple[np.ndarray, str]:
-    if depth_range is None:
-        mask = light_level_mask(profile)
-        return mask, "mean from the surface to the depth of 10 % light"
-    low, high = depth_range
-    mask = profile.mask & ((profile.depth >= low) & (profile.depth <= high))[:, None]
-    for band, count in zip(profile.wavelength, mask.sum(axis=0), strict=True):
-        if count < MIN_DEPTHS:
-            raise ValueError(
-                f"depth_range {low:g}-{high:g} m leaves {count} usable depths at {band:g} nm; at "
-                f"least {MIN_DEPTHS} are needed."
-            )
-    return mask, f"mean over {low:g} to {high:g} m"
-
-
-def _padded(count: int) -> int:
-    """Depths are padded to a power of two, so that casts of many lengths share a program."""
-    return max(32, 1 << (count - 1).bit_length())
-
-
-def _pad(array: np.ndarray, size: int, fill) -> np.ndarray:
-    return np.pad(array, [(0, 0), (0, size - array.shape[1])], constant_values=fill)
-
-
-def _fit_profile_bands(profile: Profile, mask: np.ndarray, interfaces: np.ndarray) -> BandFit:
-    size = _padded(len(profile.depth))
-    bands = len(profile.wavelength)
-    depth = np.broadcast_to(profile.depth, (bands, len(profile.depth)))
-    sigma = None if profile.sigma is None else _pad(profile.sigma.T, size, 1.0)
-    values = np.where(profile.mask, profile.Ed, 1.0)
-    cast = (
-        _pad(depth, size, 0.0),
-        _pad(values.T, size, 1.0),
-        sigma,
-        profile.floor,
-        _pad(mask.T, size, False),
-        interfaces if interfaces.size else None,
-    )
-    # device_put, unlike jnp.asarray, compiles nothing.
-    return fit_bands(*jax.device_put(cast))
-
-
-def _band_model(x: np.ndarray, depth: np.ndarray, interfaces: np.ndarray) -> np.ndarray:
-    """(depth, wl) irradiance of band fits `x` (wl, 1 + layer)."""
-    path = thickness(depth, interfaces)
-    return np.exp(x[None, :, 0] - path @ np.exp(x[:, 1:]).T)
+def prepare(profile: Profile, depth_range=None, layers: int | None = 1) -> tuple[Job, str]:
+    """The samples to use and where layers meet, and which mean Kd the fit will be."""
+    if layers is not None and layers < 1:
+        raise ValueError(f"layers is {layers}; give 1 or more, or None to let the data choose.")
+    mask, definition = window(profile, depth_range)
+    interfaces = np.zeros(0)
+    if layers != 1:
+        interfaces = choose_interfaces(
+            profile.depth, light_of(profile), profile.floor, mask, layers
+        )
+    return Job(profile, mask, interfaces), definition
 
 
 def fit_profile(
@@ -128,28 +83,47 @@ def fit_profile(
     stands in `metadata["kd_definition"]`); with a transport also Kd(490), c(550), bb(550) and
     a_cdm(440) of the water.
     """
-    if layers is not None and layers < 1:
-        raise ValueError(f"layers is {layers}; give 1 or more, or None to let the data choose.")
     if transport is not None and layers != 1:
         raise ValueError("layers apply to a fit of Kd alone; a transport fits one water.")
-    mask, definition = _window(profile, depth_range)
-    interfaces = np.zeros(0)
-    if layers != 1:
-        interfaces = choose_interfaces(profile.depth, profile.Ed, profile.floor, mask, layers)
-    bands = _fit_profile_bands(profile, mask, interfaces)
+    job, definition = prepare(profile, depth_range, layers)
+    (bands,) = fit_lanes([job])
+    if transport is None:
+        if priors:
+            raise ValueError("priors apply to a fit through a transport; Kd alone has none.")
+        return kd_fit(job, bands, definition)
+    metadata = _metadata(job, bands, definition) | {"transport": type(transport).__name__}
+    return _constituent_fit(profile, job.mask, bands, transport, priors, metadata)
+
+
+def _used(job: Job, bands: BandFit) -> np.ndarray:
+    """(depth, wl) the samples of the window that were not outliers."""
+    used = np.zeros_like(job.mask)
+    used[: job.rows] = bands.used[:, : job.rows].T
+    return used & job.mask
+
+
+def _metadata(job: Job, bands: BandFit, definition: str) -> dict:
+    profile = job.profile
+    used = _used(job, bands)
+    counts = dict(profile.counts)
+    counts["missing, zero or negative"] = profile.masked
+    counts["outliers"] = int((job.mask & ~used).sum())
     metadata = {
         "source": profile.source,
         "kd_definition": definition,
-        "depths_used": [int(n) for n in mask.sum(axis=0)],
-        "deepest_used_m": [float(profile.depth[m].max()) for m in mask.T],
+        "depths_used": [int(n) for n in job.mask.sum(axis=0)],
+        "deepest_used_m": [float(profile.depth[m].max()) for m in job.mask.T],
         "masked_values": profile.masked,
-        "relative_noise": np.asarray(bands.noise).tolist() if profile.sigma is None else "given",
+        "left_out": {reason: count for reason, count in counts.items() if count},
+        "dark_level": profile.dark.tolist(),
+        "surface_reference": "none" if profile.reference is None else "slow changes divided out",
+        "self_shading_and_immersion": "not applied",
+        "relative_noise": ([float(s) for s in bands.noise] if profile.sigma is None else "given"),
+        "noise_correlated_over_m": [float(s) for s in bands.length],
     }
-    if transport is None:
-        metadata["interfaces_m"] = interfaces.tolist()
-        return _kd_result(profile, mask, bands, interfaces, priors, metadata)
-    metadata["transport"] = type(transport).__name__
-    return _constituent_fit(profile, mask, bands, transport, priors, metadata)
+    if profile.tilt is not None:
+        metadata["largest_tilt_degrees"] = float(np.nanmax(profile.tilt))
+    return metadata
 
 
 def _kd_parameters(wavelength: np.ndarray, x: np.ndarray) -> Parameters:
@@ -177,10 +151,16 @@ def _mean_kd(profile, mask, x, cov, interfaces) -> Quantity:
     return Quantity(mean, np.sqrt(variance), "m-1", "diffuse attenuation coefficient")
 
 
-def _kd_result(profile, mask, bands: BandFit, interfaces, priors, metadata) -> Fit:
-    if priors:
-        raise ValueError("priors apply to a fit through a transport; Kd alone has none.")
-    x, cov = np.asarray(bands.optimum.x), np.asarray(bands.covariance)
+def _lit(job: Job) -> np.ndarray:
+    """(wl,) whether the window holds light that stands out of the noise in darkness."""
+    light = np.where(job.mask, light_of(job.profile), -np.inf)
+    return np.partition(light, -MIN_DEPTHS, axis=0)[-MIN_DEPTHS] > 5.0 * job.profile.floor
+
+
+def kd_fit(job: Job, bands: BandFit, definition: str) -> Fit:
+    """The fit of Kd alone as a `Fit`."""
+    profile, mask, interfaces = job.profile, job.mask, job.interfaces
+    x, cov = np.asarray(bands.x), np.asarray(bands.covariance)
     n, unknowns = x.shape
     parameters = _kd_parameters(profile.wavelength, x)
     full = np.zeros((unknowns * n, unknowns * n))
@@ -190,17 +170,25 @@ def _kd_result(profile, mask, bands: BandFit, interfaces, priors, metadata) -> F
             full[order + i * n, order + j * n] = cov[:, i, j]
     kd = _mean_kd(profile, mask, x, cov, interfaces)
     # Intervals of a band use its own degrees of freedom; the smallest is the honest one for all.
-    dof = None if profile.sigma is not None else float(mask.sum(axis=0).min() - unknowns)
-    codes = np.asarray(bands.optimum.code)
-    model = _band_model(x, profile.depth, interfaces)
+    lit = _lit(job)
+    dof = None if profile.sigma is not None else float(np.min(bands.dof[lit], initial=1e9))
+    model = _band_model(profile, x, interfaces)
+    metadata = _metadata(job, bands, definition)
+    metadata["interfaces_m"] = interfaces.tolist()
+    metadata["bands_without_light_nm"] = profile.wavelength[~lit].tolist()
+    metadata["bands_not_converged_nm"] = profile.wavelength[bands.code != 0].tolist()
     predictive = _predictive(profile, mask, bands, model)
+    left = (predictive.observed - model) / predictive.sd
+    left = np.where(_used(job, bands), left, np.nan)
+    white = whitened(left, profile.depth, np.nan_to_num(bands.length))
+    metadata["runs_test_p"] = [runs_p(column) for column in white.T]
     return Fit(
         parameters,
         x.T.reshape(-1),
         full,
         {"Kd": kd},
         profile.wavelength,
-        sentence(codes.max()),
+        sentence(bands.code[lit].max(initial=0)),
         predictive,
         metadata,
         dof,
@@ -210,7 +198,7 @@ def _kd_result(profile, mask, bands: BandFit, interfaces, priors, metadata) -> F
 def _noise_sd(profile: Profile, bands: BandFit, model: np.ndarray) -> np.ndarray:
     if profile.sigma is not None:
         return profile.sigma
-    return np.sqrt((np.asarray(bands.noise) * model) ** 2 + profile.floor**2)
+    return np.hypot(bands.noise * (model - profile.dark), profile.floor)
 
 
 def _predictive(profile, mask, bands, model) -> Predictive:
@@ -227,7 +215,7 @@ def _predictive(profile, mask, bands, model) -> Predictive:
 
 def _unknowns(profile: Profile, bands: BandFit, priors) -> Parameters:
     sun = profile.solar_zenith
-    surface = np.exp(np.asarray(bands.optimum.x[:, 0]))
+    surface = np.exp(bands.x[:, 0])
     parameters = Parameters(
         [
             *constituents(),
@@ -298,17 +286,18 @@ def _solve_constituents(layout: Parameters, prior: Prior, grid, transport, cast:
 
 def _constituent_fit(profile, mask, bands, transport, priors, metadata) -> Fit:
     parameters = _unknowns(profile, bands, priors)
-    x = np.asarray(bands.optimum.x)
-    model = _band_model(x, profile.depth, np.zeros(0))
-    extra = _padded(len(profile.depth)) - len(profile.depth)
+    model = _band_model(profile, bands.x, np.zeros(0))
+    extra = padded(len(profile.depth)) - len(profile.depth)
 
     def pad(array, fill):
         widths = [(0, extra)] + [(0, 0)] * (array.ndim - 1)
         return jax.device_put(np.pad(array, widths, constant_values=fill))
 
+    # The model knows neither darkness nor changes of the sun: the data are rid of them.
+    light = light_of(profile)
     cast = _Cast(
         pad(profile.depth, 0.0),
-        pad(np.where(mask, profile.Ed, 1.0), 1.0),
+        pad(np.where(mask, light, 1.0), 1.0),
         pad(np.where(mask, _noise_sd(profile, bands, model), 1.0), 1.0),
         pad(mask, False),
     )

@@ -4,16 +4,12 @@ import csv
 import dataclasses
 import difflib
 import fnmatch
-import re
 from pathlib import Path
 
 import numpy as np
 
 import oceaninv as oi
 from fitting.observations import Background, Chart, Photo, Profile
-
-# Factors to W m-2 nm-1.
-_IRRADIANCE_UNITS = {"W m-2 nm-1": 1.0, "W/m2/nm": 1.0, "uW cm-2 nm-1": 1e-2, "uW/cm2/nm": 1e-2}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -24,6 +20,7 @@ class Sheet:
     header: dict[str, str]
     columns: list[str]
     rows: list[list[str]]
+    comments: tuple[str, ...] = ()
 
     def numbers(self, column: str) -> np.ndarray:
         """A column as floats; blanks are NaN, other text is an error naming the row."""
@@ -55,12 +52,19 @@ class Sheet:
                 f"{', '.join(self.columns)}.{hint}"
             )
 
-    def unit(self, column: str) -> str:
-        """Unit of a column from the `# units:` line; ValueError when it is not stated."""
+    def stated_unit(self, column: str) -> str | None:
+        """Unit of a column from the `# units:` line, None when it is not stated."""
         for pair in self.header.get("units", "").split(","):
             pattern, _, unit = pair.strip().partition("=")
             if unit and fnmatch.fnmatchcase(column, pattern):
                 return unit
+        return None
+
+    def unit(self, column: str) -> str:
+        """Unit of a column from the `# units:` line; ValueError when it is not stated."""
+        unit = self.stated_unit(column)
+        if unit is not None:
+            return unit
         raise ValueError(
             f"{self.path}: the unit of column {column!r} is not stated; write a header line such "
             f"as '# units: {column}=...'."
@@ -93,44 +97,20 @@ def read_sheet(path: str | Path) -> Sheet:
             raise ValueError(
                 f"{path}: data row {number} has {len(row)} values for {len(columns)} columns."
             )
-    return Sheet(path, header, columns, table[1:])
+    comments = tuple(line[1:].strip() for line in lines if line.startswith("#"))
+    return Sheet(path, header, columns, table[1:], comments)
 
 
 def read_profile(path: str | Path, solar_zenith: float | None = None) -> Profile:
-    """A cast: column `depth` (m) and columns `Ed_<wavelength in nm>`, units in the header.
+    """The one cast in a file of any kind that `fitting.casts` knows.
 
-    Irradiance may be in W m-2 nm-1 or uW cm-2 nm-1 and is returned in the former; a missing or
-    other unit is refused.  `solar_zenith` (degrees) overrides the header's `solar_zenith`.
+    csv: column `depth` (m) and columns `Ed_<wavelength in nm>`, units in the header; they may be
+    W m-2 nm-1 or uW cm-2 nm-1 and are returned as the former; a missing or other unit is refused.
+    `solar_zenith` (degrees) overrides the file's.
     """
-    sheet = read_sheet(path)
-    sheet.require("depth")
-    if sheet.unit("depth") != "m":
-        raise ValueError(f"{sheet.path}: depth must be in m, not {sheet.unit('depth')!r}.")
-    bands = [name for name in sheet.columns if re.fullmatch(r"Ed_\d+(\.\d+)?", name)]
-    if not bands:
-        raise ValueError(
-            f"{sheet.path}: no irradiance column; name them Ed_<nm>, for instance Ed_490. The file "
-            f"has {', '.join(sheet.columns)}."
-        )
-    scaled = []
-    for name in bands:
-        unit = sheet.unit(name)
-        if unit not in _IRRADIANCE_UNITS:
-            raise ValueError(
-                f"{sheet.path}: {name} is in {unit!r}; known are {', '.join(_IRRADIANCE_UNITS)}."
-            )
-        scaled.append(sheet.numbers(name) * _IRRADIANCE_UNITS[unit])
-    wavelength = [float(name[3:]) for name in bands]
-    try:
-        return Profile(
-            sheet.numbers("depth"),
-            wavelength,
-            np.stack(scaled, axis=1),
-            solar_zenith=_given(sheet, "solar_zenith", solar_zenith, None),
-            source=str(path),
-        )
-    except ValueError as error:
-        raise ValueError(f"{sheet.path}: {error}") from None
+    from fitting.casts import Reading, read_cast
+
+    return read_cast(path, Reading(solar_zenith=solar_zenith))
 
 
 def read_photo(
@@ -198,8 +178,8 @@ def read_photo(
             depth=depth,
             depth_sd=depth_sd,
             response=response,
-            solar_zenith=_given(sheet, "solar_zenith", solar_zenith, 40.0),
-            azimuth=_given(sheet, "azimuth", azimuth, 90.0),
+            solar_zenith=header_number(sheet, "solar_zenith", solar_zenith, 40.0),
+            azimuth=header_number(sheet, "azimuth", azimuth, 90.0),
             source=str(path),
         )
     except ValueError as error:
@@ -207,7 +187,7 @@ def read_photo(
     return photo, int((~keep).sum())
 
 
-def _given(sheet: Sheet, key: str, value: float | None, default: float | None):
+def header_number(sheet: Sheet, key: str, value: float | None, default: float | None):
     """The caller's value, else the header's, else the default."""
     if value is not None or key not in sheet.header:
         return default if value is None else value

@@ -11,8 +11,8 @@ import pytest
 import oceaninv as oi
 from fitting import Parameter, Profile, fit_profile
 from fitting._bands import band_residual, thickness
+from fitting._lanes import light_level_mask
 from fitting.posterior import quantile
-from fitting.profile import light_level_mask
 from fitting.readers import read_profile
 from fitting.solve import cross_check
 from tests.acceptance.profile_statistics import bound, casts, statistics
@@ -94,7 +94,8 @@ def test_kd_does_not_depend_on_the_unit_of_irradiance(unit):
 def test_the_noise_is_estimated_and_students_t_widens_the_intervals():
     fit = fit_profile(Profile(DEPTH, WAVELENGTH, noisy(), floor=0.002 * SURFACE))
     assert np.all(np.abs(np.log(np.array(fit.metadata["relative_noise"]) / 0.05)) < 0.4)
-    assert fit.dof == min(fit.metadata["depths_used"]) - 2
+    # Correlated waves are a possibility that the estimate keeps open: a little less than n - 2.
+    assert 25 < fit.dof <= min(fit.metadata["depths_used"]) - 2
     low, high = fit.interval("Kd_490")
     reach = np.log(high / low) / 2 / fit.sd["Kd_490"]
     assert reach == pytest.approx(quantile(0.95, fit.dof), rel=1e-9)

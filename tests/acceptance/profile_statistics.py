@@ -16,7 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.stats import binom
 
-from fitting._bands import fit_bands
+from fitting._bands import Lanes, fit_bands
 from fitting.posterior import quantile
 
 CASTS = 2000
@@ -74,28 +74,106 @@ def statistics(sigma_given: bool, count: int = CASTS, seed: int = 20) -> dict[st
     sigma = np.sqrt((WAVES * true) ** 2 + floor[:, None] ** 2) if sigma_given else None
     used = mask & (seen > 0)
     fit = fit_bands(
-        jnp.asarray(depth),
-        jnp.asarray(np.where(used, seen, 1.0)),
-        None if sigma is None else jnp.asarray(sigma),
-        jnp.asarray(floor),
-        jnp.asarray(used),
+        Lanes(
+            jnp.asarray(np.maximum.accumulate(depth, axis=1)),
+            jnp.asarray(np.where(used, seen, 1.0)),
+            jnp.ones_like(depth),
+            None if sigma is None else jnp.asarray(sigma),
+            jnp.asarray(floor),
+            jnp.zeros(count),
+            jnp.zeros(count),
+            jnp.asarray(used),
+            jnp.zeros((count, 0)),
+        )
     )
-    error = np.asarray(fit.optimum.x)[:, 1] - log_kd
-    sd = np.sqrt(np.asarray(fit.covariance)[:, 1, 1])
+    error = np.asarray(fit.x)[:, 1] - log_kd
     best = bound(log_surface, log_kd, depth, mask, floor, sigma_given)
+    out = _summary(fit, error, best, None if sigma_given else np.asarray(fit.dof))
+    return out | {"masked": int(np.sum(mask & ~used))}
+
+
+def _summary(fit, error, best, freedom) -> dict:
+    count, sd = len(error), np.sqrt(np.asarray(fit.covariance)[:, 1, 1])
     out = {
         "rms / bound": float(np.sqrt(np.mean((error / best) ** 2))),
         "mean / bound": float(np.mean(error / best)),
-        "converged": float(np.mean(np.asarray(fit.optimum.code) == 0)),
-        "masked": int(np.sum(mask & ~used)),
+        "converged": float(np.mean(np.asarray(fit.code) == 0)),
     }
-    freedom = used.sum(axis=1) - 2
     for level in LEVELS:
-        reach = np.array([quantile(level, None if sigma_given else float(n)) for n in freedom])
+        reach = np.array(
+            [quantile(level, None if freedom is None else float(freedom[i])) for i in range(count)]
+        )
         low, high = binom.interval(0.99, count, level)
         out[f"coverage {level}"] = float(np.mean(np.abs(error) <= reach * sd))
         out[f"band {level}"] = (float(low / count), float(high / count))
     return out
+
+
+def full_casts(count: int = CASTS, seed: int = 21):
+    """Casts with everything that the measurement model holds, and the bound of ln Kd.
+
+    As `casts`, and: half of them with waves correlated over 0.5 to 3 sample spacings, half with
+    waves three times as strong at the surface (decaying over a tenth of the range), an offset in
+    darkness known to 0.05 % of Ed(0-), light above that drifts by 20 %, 2 % of the samples
+    wrong by a factor of 2 to 10.
+    """
+    log_surface, log_kd, depth, true, _, mask, floor = casts(count, seed)
+    rng = np.random.default_rng(seed + 1)
+    depth = np.maximum.accumulate(depth, axis=1)
+    surface, number = np.exp(log_surface), mask.sum(axis=1)
+    reach = depth.max(axis=1) - depth[:, 0]
+    spacing = reach / (number - 1)
+    correlated, rising = rng.random((2, count)) < 0.5
+    length = np.where(correlated, np.exp(rng.uniform(np.log(0.5), np.log(3.0), count)), 1e-9)
+    rise = 1.0 + np.where(rising, 2.0, 0.0)[:, None] * np.exp(
+        -(depth - depth[:, :1]) / (0.1 * reach[:, None])
+    )
+    reference = 1.0 + 0.2 * np.sin(2 * np.pi * depth / depth.max(axis=1, keepdims=True))
+    true = true * reference
+    lag = np.abs(depth[:, :, None] - depth[:, None, :]) / (length * spacing)[:, None, None]
+    waves = np.linalg.cholesky(np.exp(-lag) * _both(mask) + np.eye(DEPTHS) * 1e-9)
+    noise = rng.standard_normal((2, count, DEPTHS))
+    wave = np.einsum("kij,kj->ki", waves, noise[0])
+    dark_sd = 0.0005 * surface
+    offset = rng.uniform(-0.01, 0.01, count) * surface
+    seen = true * (1 + WAVES * rise * wave) + offset[:, None] + floor[:, None] * noise[1]
+    wrong = (rng.random(mask.shape) < 0.02) & mask
+    factor = np.exp(rng.choice([-1.0, 1.0], mask.shape) * rng.uniform(np.log(2), np.log(10)))
+    seen = np.where(wrong, seen * factor, seen)
+    dark = offset + dark_sd * rng.standard_normal(count)
+    sd = WAVES * rise * true
+    covariance = sd[:, :, None] * sd[:, None, :] * np.exp(-lag)
+    covariance += np.eye(DEPTHS) * (floor**2)[:, None, None]
+    covariance += (dark_sd**2)[:, None, None]
+    good = _both(mask & ~wrong)
+    covariance = np.where(good, covariance, np.eye(DEPTHS) * 1e12 * covariance.max())
+    slopes = np.stack([true, -np.exp(log_kd)[:, None] * depth * true], axis=2)
+    information = np.einsum("kzi,kzj->kij", slopes, np.linalg.solve(covariance, slopes))
+    best = np.sqrt(np.linalg.inv(information)[:, 1, 1])
+    lanes = Lanes(
+        jnp.asarray(depth),
+        jnp.asarray(np.where(mask, seen, 1.0)),
+        jnp.asarray(reference),
+        None,
+        jnp.asarray(floor),
+        jnp.asarray(dark),
+        jnp.asarray(dark_sd),
+        jnp.asarray(mask),
+        jnp.zeros((count, 0)),
+    )
+    return lanes, log_kd, best
+
+
+def _both(mask):
+    return mask[:, :, None] & mask[:, None, :]
+
+
+def full_statistics(count: int = CASTS, seed: int = 21) -> dict:
+    """As `statistics`, for `full_casts`."""
+    lanes, log_kd, best = full_casts(count, seed)
+    fit = fit_bands(lanes)
+    error = np.asarray(fit.x)[:, 1] - log_kd
+    return _summary(fit, error, best, np.asarray(fit.dof))
 
 
 def main():

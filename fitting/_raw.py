@@ -1,0 +1,23 @@
+"""One cast as a file holds it, before anything is checked."""
+
+import dataclasses
+from collections.abc import Mapping
+
+import numpy as np
+
+
+@dataclasses.dataclass(frozen=True)
+class RawCast:
+    """Columns by name with the units that the file states, quality flags by column.
+
+    `comment`: free text of the header; `latitude`: degrees north; `counts`: what was left out.
+    """
+
+    name: str
+    columns: Mapping[str, np.ndarray]
+    units: Mapping[str, str]
+    flags: Mapping[str, np.ndarray] = dataclasses.field(default_factory=dict)
+    comment: str = ""
+    latitude: float | None = None
+    solar_zenith: float | None = None
+    counts: Mapping[str, int] = dataclasses.field(default_factory=dict)
