@@ -14,7 +14,7 @@ FLOORS = (
     {"tables"},
     {"phase", "mie"},
     {"iops", "particles", "water", "spectrum", "attenuation"},
-    {"bio_optics", "media", "inelastic", "light", "optics", "camera", "objects"},
+    {"bio_optics", "media", "inelastic", "light", "optics", "camera", "objects", "mitsuba"},
     {"scene", "scene_file", "water_file"},
     {"transport"},
     {"fidelity"},

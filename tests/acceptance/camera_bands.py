@@ -1,0 +1,103 @@
+"""How many bands a picture needs: colour differences over 28 cameras.
+
+    python -m tests.acceptance.camera_bands        (writes camera_bands.md beside this file)
+
+Spectra: the radiance that the two-stream rung sends along 60 lines of sight of all directions in
+the six waters and depths of Monzon et al. 2024, table 2 (floor, surface, sun and sky as in
+scenes/three_spheres.toml).  Each camera's channels become XYZ by its matrix fitted to ColorChecker
+patches in daylight and CIELAB by a white card under the surface's light; the difference is that
+between n bands and 64, at one exposure, in CIEDE2000 (Sharma, Wu & Dalal 2005, through
+colour-science).
+"""
+
+import dataclasses
+import warnings
+from pathlib import Path
+
+import jax
+
+jax.config.update("jax_enable_x64", True)
+
+import jax.numpy as jnp  # noqa: E402
+import numpy as np  # noqa: E402
+
+import oceaninv as oi  # noqa: E402
+from fitting.render import display_matrix  # noqa: E402
+
+SCENE = Path(__file__).parents[2] / "scenes" / "three_spheres.toml"
+WATERS = (("3C", 3.0), ("3C", 9.0), ("I", 5.0), ("IA", 9.0), ("IB", 5.0), ("II", 3.0))
+COUNTS = (3, 8, 16, 32)
+CAMERAS = 28
+
+
+def radiances(bands: int) -> list[np.ndarray]:
+    """(ray, wl) in each water."""
+    rng = np.random.default_rng(7)
+    direction = rng.normal(size=(60, 3))
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    base = oi.load_scene(SCENE, bands=bands).scene
+    results = []
+    for kind, depth in WATERS:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            water = oi.jerlov(kind, base.wavelength)
+        floor = oi.Floor(depth, base.floor.reflectance)
+        scene = dataclasses.replace(base, water=water, floor=floor, objects=())
+        rays = oi.Rays([0.0, 0.0, depth - 1.5], jnp.asarray(direction))
+        results.append(np.asarray(jax.jit(lambda s, r: oi.radiance(s, r).value)(scene, rays)))
+    return results
+
+
+def run() -> str:
+    """The table."""
+    import colour
+
+    names = oi.spectrum.camera_names()
+    chosen = [names[i] for i in np.linspace(0, len(names) - 1, CAMERAS).round().astype(int)]
+    cameras = [oi.spectrum.camera_response(name) for name in chosen]
+    fine = radiances(64)
+    grid = oi.spectrum.bands(64, 400, 650)
+    daylight = oi.spectrum.daylight(grid)
+    lines = [
+        "# How many bands a picture needs",
+        "",
+        f"`python -m tests.acceptance.camera_bands`: {CAMERAS} of {len(names)} cameras, six",
+        "waters, 400-650 nm, 60 lines of sight each; against 64 bands.  CIEDE2000, and root mean",
+        "square of the channels as a share of the brightest.",
+        "",
+        "| bands | dE median | dE 95th percentile | dE largest | rms, median camera |",
+        "|---|---|---|---|---|",
+    ]
+    for count in COUNTS:
+        coarse = radiances(count)
+        differences, rms = [], []
+        for response in cameras:
+            matrix = display_matrix(response)
+            weights = [
+                np.asarray(response.weights(oi.spectrum.bands(n, 400, 650))).T for n in (count, 64)
+            ]
+            white = matrix @ (weights[1].T @ daylight) / np.pi
+            for few, many in zip(coarse, fine, strict=True):
+                pair = [few @ weights[0], many @ weights[1]]
+                rms.append(np.sqrt(np.mean((pair[0] - pair[1]) ** 2)) / np.max(pair[1]))
+                # One exposure for both: the brightest of the finer picture is as bright as white.
+                scale = white[1] / np.max(pair[1] @ matrix.T[:, 1])
+                spaces = [
+                    colour.XYZ_to_Lab(
+                        np.maximum(scale * p @ matrix.T, 0.0) / white[1],
+                        colour.XYZ_to_xy(white),
+                    )
+                    for p in pair
+                ]
+                differences.append(colour.delta_E(*spaces, method="CIE 2000"))
+        d = np.concatenate(differences)
+        row = (np.median(d), np.percentile(d, 95), np.max(d))
+        lines.append(
+            f"| {count} | " + " | ".join(f"{v:.2f}" for v in row) + f" | {np.median(rms):.4f} |"
+        )
+        print(lines[-1], flush=True)
+    return "\n".join(lines) + "\n"
+
+
+if __name__ == "__main__":
+    Path(__file__).with_suffix(".md").write_text(run())
