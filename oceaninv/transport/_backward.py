@@ -1,66 +1,69 @@
 """Walks from the eye towards the light: the radiance along rays."""
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, UInt32
 
-from oceaninv._numerics import safe_sqrt
 from oceaninv.optics import Rays
 from oceaninv.scene import Scene
-from oceaninv.transport import _paths, _walks, _weights
+from oceaninv.transport import _walks, _weights
 from oceaninv.transport._guard import fixed_rays, fixed_scene
+from oceaninv.transport._lights import arrivals
 from oceaninv.transport._paths import Proposal
+from oceaninv.transport._sampling import Vector
 from oceaninv.transport._walks import GROUP, Plan, World
 from oceaninv.transport.base import Estimate
 
 
-class _Sun:
-    """The sunbeam under water: towards where it travels, how much, and through what."""
-
-    def __init__(self, scene: Scene, world: World):
-        cosine, self.irradiance = scene.beam()
-        self.cosine = jax.lax.stop_gradient(cosine)
-        self.domain = world.domain
-        self.across = -safe_sqrt(1.0 - self.cosine**2)
-
-    def lengths(self, depth: Float[Array, "..."]) -> tuple[Float[Array, "..."], ...]:
-        """Its way down to a depth, by layer."""
-        return _paths.by_layer(self.domain, jnp.zeros_like(depth), depth, depth / self.cosine)
-
-    def turned(self, direction) -> Float[Array, "..."]:
-        """Cosine of the angle by which it must turn to reach an eye looking along `direction`."""
-        return -(self.across * direction[0] + self.cosine * direction[2])
-
-
-def _scattered(world: World, sun: _Sun, before, after, vertex) -> Float[Array, "... wl"]:
-    """Sunlight scattered towards the eye where the flight ended in the water."""
-    turned = sun.turned(before.direction)
-    light = _weights.volume_scattering(world.medium, world.proposal, vertex, turned)
-    # This scattering is the last, and in `light`: it does not count among the earlier ones.
+def _scattered(scene: Scene, world: World, before, after, vertex) -> Float[Array, "... wl"]:
+    """Direct light scattered towards the eye where the flight ended in the water."""
+    found = jnp.zeros((*after.weight.shape, len(scene.wavelength)), after.weight.dtype)
+    # This scattering is the last, and in `turned`: it does not count among the earlier ones.
     arrived = after._replace(counts=before.counts)
-    reaching = _weights.attenuated(world.medium, arrived, sun.lengths(after.position[2]))
-    return after.weight[..., None] * light * reaching * sun.irradiance[None, None, :]
+    for light in arrivals(scene, world.domain, after.position):
+        cosine = _dot(light.towards, before.direction)
+        turned = _weights.volume_scattering(world.medium, world.proposal, vertex, cosine)
+        reaching = _weights.attenuated(world.medium, arrived, light.lengths)
+        found += turned * reaching * light.spectrum
+    return after.weight[..., None] * found
 
 
-def _boundary(scene: Scene, world: World, sun: _Sun, before, ahead) -> Float[Array, "... wl"]:
-    """The sky through the surface, or the sunlit floor, as seen at the end of the flight."""
+def _boundary(scene: Scene, world: World, before, ahead) -> Float[Array, "... wl"]:
+    """The sky through the surface, or the lit floor or object, as seen at the flight's end."""
     domain = world.domain
-    depth = before.position[2]
-    end = jnp.where(ahead.up, 0.0, depth if domain.floor is None else domain.floor)
-    below = sun.lengths(end)
-    beyond = tuple(s + d for s, d in zip(ahead.lengths, below, strict=True))
-    weight = jnp.where(ahead.ends, before.weight, 0.0)
-    colour = jnp.zeros((*weight.shape, len(scene.wavelength)), weight.dtype)
+    weight = before.weight[..., None]
+    found = jnp.zeros((*before.weight.shape, len(scene.wavelength)), before.weight.dtype)
     if scene.light.diffuse is not None:
         squared = 1.0 if domain.refraction is None else domain.refraction**2
-        through = jnp.where(ahead.up, weight * (1.0 - ahead.reflectance) * squared, 0.0)
-        colour += _weights.outer(through, scene.light.diffuse)
-    if scene.floor is not None:
-        lit = scene.floor.reflectance * sun.irradiance * (sun.cosine / np.pi)
-        colour += _weights.outer(jnp.where(ahead.up, 0.0, weight), lit)
-    return colour * _weights.attenuated(world.medium, before, beyond)
+        through = jnp.where(ahead.up & ahead.ends, (1.0 - ahead.reflectance) * squared, 0.0)
+        reaching = _weights.attenuated(world.medium, before, ahead.lengths)
+        found += _weights.outer(through, scene.light.diffuse) * reaching
+    if scene.floor is None and not scene.objects:
+        return weight * found
+    level = jnp.zeros_like(before.weight)
+    normal, colour = (level, level, level - 1.0), jnp.zeros_like(found)
+    end = tuple(p + ahead.distance * d for p, d in zip(*before[:2], strict=True))
+    depth = jnp.maximum(end[2], 0.0)
+    if scene.floor is not None and domain.floor is not None:
+        down = ~ahead.up & ahead.ends
+        depth = jnp.where(down, domain.floor, depth)
+        colour += _weights.outer(jnp.where(down, 1 / np.pi, 0.0), scene.floor.reflectance)
+    if ahead.normal is not None:
+        met = ahead.met
+        pairs = zip(ahead.normal, normal, strict=True)
+        normal = tuple(jnp.where(met, own, floor) for own, floor in pairs)
+        colour += (ahead.thing @ _weights.reflectances(scene)) / np.pi
+    for light in arrivals(scene, domain, (end[0], end[1], depth)):
+        facing = jnp.maximum(_dot(light.towards, normal), 0.0)
+        beyond = tuple(s + d for s, d in zip(ahead.lengths, light.lengths, strict=True))
+        reaching = _weights.attenuated(world.medium, before, beyond)
+        found += colour * facing[..., None] * light.spectrum * reaching
+    return weight * found
+
+
+def _dot(a: Vector, b: Vector) -> Float[Array, "..."]:
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
 @eqx.filter_jit
@@ -70,16 +73,16 @@ def radiance(
     """(ray, wl)."""
     scene, rays = fixed_scene(scene), fixed_rays(rays)
     world = _walks.world(scene, words, proposal)
-    sun = _Sun(scene, world)
     groups = -(-plan.paths // GROUP)
     count, bands = rays.direction.shape[0], len(scene.wavelength)
-    bounded = scene.floor is not None or scene.light.diffuse is not None
+    lit = scene.floor is not None or scene.objects
+    bounded = lit or scene.light.diffuse is not None
 
     def score(before, ahead, after, vertex, t):
         del t
-        found = jnp.sum(_scattered(world, sun, before, after, vertex), axis=1)
+        found = jnp.sum(_scattered(scene, world, before, after, vertex), axis=1)
         if bounded:
-            found += jnp.sum(_boundary(scene, world, sun, before, ahead), axis=1)
+            found += jnp.sum(_boundary(scene, world, before, ahead), axis=1)
         return found
 
     def run(unit):

@@ -1,5 +1,6 @@
 """What a Monte Carlo estimate cannot be differentiated in says so."""
 
+import dataclasses
 import functools
 
 import equinox as eqx
@@ -44,6 +45,15 @@ def fixed_scene(scene: Scene) -> Scene:
         close("floor.depth", lambda s: s.floor.depth)
     if isinstance(scene.water, Layers):
         close("water.interfaces", lambda s: s.water.interfaces)
+    for group in ("objects", "lamps"):
+        for i, thing in enumerate(getattr(scene, group)):
+            for field in dataclasses.fields(thing):
+                if field.name not in ("reflectance", "intensity"):
+
+                    def where(s, group=group, i=i, name=field.name):
+                        return getattr(getattr(s, group)[i], name)
+
+                    close(f"{group}[{i}].{field.name}", where)
     return scene
 
 

@@ -13,9 +13,11 @@ the weight.  What leaves is scored by its expected value.
 from typing import NamedTuple
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
+from oceaninv.objects import AbstractObject, nearest
 from oceaninv.optics import fresnel_from_water
 from oceaninv.transport._sampling import Vector, lambertian, sample_half_angle, turn
 
@@ -23,21 +25,24 @@ _LEVEL = 1e-4  # flights closer to horizontal than this cosine stay in their lay
 
 
 class Domain(NamedTuple):
-    """Where light can be.  `edges`: depths between layers; `floor`: depth or None; `refraction`: the
-    index of water under a flat surface, or None."""
+    """Where light can be.  `edges`: depths between layers; `floor`: depth or None; `refraction`:
+    the index of water under a flat surface, or None; `things`: objects, whose reflectance is here a
+    row of the identity, so that what is met is known and what it reflects stays differentiable."""
 
     edges: Float[Array, " interface"]
     floor: Float[Array, ""] | None
     refraction: Float[Array, ""] | None
+    things: tuple[AbstractObject, ...] = ()
 
 
 class Proposal(eqx.Module):
     """What walks are drawn from: scattering rates (1/m) and tables of angles by layer, and the
-    share of light that a floor sends back."""
+    shares of light that the floor and each object send back."""
 
     rate: Float[Array, " layer"]
     tables: Float[Array, "layer edge"]
     floor: Float[Array, ""]
+    things: Float[Array, " thing"]
 
 
 class Lanes(NamedTuple):
@@ -56,9 +61,11 @@ class Lanes(NamedTuple):
 
 
 class Flight(NamedTuple):
-    """The way ahead: whether upwards, whether it `ends` at the surface or floor, its length in all
-    and by layer (0 where endless), the surface's reflectance, the optical length at the proposal's
-    rate, the shares that come back from the boundary and that stay in the water in all."""
+    """The way ahead.  `up`: whether upwards; `ends`: whether at the surface or floor; `lengths` by
+    layer and `distance` in all (0 where endless); `reflectance` of the surface; `optical` length at
+    the proposal's rate; the shares `returned` from the end and `kept` in the water in all; which
+    object it meets instead (`thing`: a row of zeros for none) and its `normal`, None without any.
+    """
 
     up: Bool[Array, "..."]
     lengths: tuple[Float[Array, "..."], ...]
@@ -68,6 +75,19 @@ class Flight(NamedTuple):
     distance: Float[Array, "..."]
     returned: Float[Array, "..."]
     kept: Float[Array, "..."]
+    thing: Float[Array, "... thing"] | None = None
+    normal: Vector | None = None
+
+    @property
+    def met(self) -> Bool[Array, "..."]:
+        """Whether an object stands in the way."""
+        return jnp.zeros_like(self.ends) if self.thing is None else jnp.any(self.thing > 0, axis=-1)
+
+
+def each(function, *arguments):
+    """function(vectors (3,), scalars) mapped over the lanes (unit, lane) of its arguments."""
+    stacked = (jnp.stack(a, axis=-1) if isinstance(a, tuple) else a for a in arguments)
+    return jax.vmap(jax.vmap(function))(*stacked)
 
 
 def bounds(domain: Domain) -> list[tuple[Array | float, Array | float]]:
@@ -114,8 +134,19 @@ def flight(domain: Domain, proposal: Proposal, lanes: Lanes) -> Flight:
     ends = (up | (domain.floor is not None)) & ~level
     distance = jnp.where(ends, jnp.abs(end - z) / steep, 0.0)
     bounded = ends
+    thing = normal = None
+    if domain.things:
+        hit = each(lambda o, d: nearest(domain.things, o, d), lanes.position, lanes.direction)
+        met = hit.distance < jnp.where(ends, distance, jnp.inf)
+        if lanes.limit is not None:
+            met = met & (hit.distance <= lanes.limit)
+        distance = jnp.where(met, hit.distance, distance)
+        ends, bounded = ends & ~met, ends | met
+        end = jnp.where(met, z + mu * distance, end)
+        thing = jnp.where(met[..., None], hit.reflectance, 0.0)
+        normal = tuple(hit.normal[..., i] for i in range(3))
     if lanes.limit is not None:
-        cut = lanes.limit < jnp.where(ends, distance, jnp.inf)
+        cut = lanes.limit < jnp.where(bounded, distance, jnp.inf)
         distance = jnp.where(cut, lanes.limit, distance)
         ends, bounded = ends & ~cut, ends | cut
         end = jnp.where(cut, z + mu * lanes.limit, end)
@@ -125,9 +156,12 @@ def flight(domain: Domain, proposal: Proposal, lanes: Lanes) -> Flight:
     if domain.refraction is not None:
         reflectance = fresnel_from_water(jnp.abs(mu), domain.refraction)
     back = jnp.where(up, reflectance, proposal.floor)
-    returned = jnp.where(ends, jnp.exp(-optical) * back, 0.0)
+    back = jnp.where(ends, back, 0.0)
+    if thing is not None:
+        back = back + thing @ proposal.things
+    returned = jnp.where(bounded, jnp.exp(-optical) * back, 0.0)
     kept = returned - jnp.expm1(-optical)
-    return Flight(up, lengths, ends, reflectance, optical, distance, returned, kept)
+    return Flight(up, lengths, ends, reflectance, optical, distance, returned, kept, thing, normal)
 
 
 def _scattered_at(domain: Domain, proposal: Proposal, lanes: Lanes, depth: Array):
@@ -167,6 +201,9 @@ def advance(
     depth = jnp.minimum(-jnp.log1p(u[0] * jnp.expm1(-ahead.optical)), ahead.optical)
     length, z = _scattered_at(domain, proposal, lanes, depth)
     end = jnp.where(ahead.up, 0.0, 0.0 if domain.floor is None else domain.floor)
+    if domain.things:
+        struck = lanes.position[2] + ahead.distance * lanes.direction[2]
+        end = jnp.where(ahead.met, struck, end)
     z = jnp.where(bounced, end, jnp.maximum(z, 0.0))
     if domain.floor is not None:
         z = jnp.minimum(z, domain.floor)
@@ -183,21 +220,27 @@ def advance(
         weight=lanes.weight * ahead.kept,
         lengths=tuple(s + d for s, d in zip(lanes.lengths, parts, strict=True)),
         counts=counts,
-        floors=jnp.where(bounced & ~ahead.up, lanes.floors + 1.0, lanes.floors),
+        floors=jnp.where(bounced & ahead.ends & ~ahead.up, lanes.floors + 1.0, lanes.floors),
     )
     return lanes, Vertex(scattered, layer)
 
 
 def deflect(
-    proposal: Proposal, lanes: Lanes, vertex: Vertex, up: Bool[Array, "..."], u: tuple
+    proposal: Proposal, lanes: Lanes, vertex: Vertex, ahead: Flight, u: tuple
 ) -> tuple[Vector, Float[Array, "..."], Float[Array, "..."]]:
     """New directions; with them the cosine of the scattering angle and the density (1/sr) of the
     scattered ones."""
     half, density = sample_half_angle(proposal.tables, vertex.layer, u[1])
     scattered = turn(lanes.direction, half, u[2])
     x, y, z = lanes.direction
-    upwards = (jnp.zeros_like(x), jnp.zeros_like(x), -jnp.ones_like(x))
-    from_floor = lambertian(upwards, u[1], u[2])
+    normal = (jnp.zeros_like(x), jnp.zeros_like(x), -jnp.ones_like(x))
+    up = ahead.up
+    if ahead.normal is not None:
+        met = ahead.met
+        pairs = zip(ahead.normal, normal, strict=True)
+        normal = tuple(jnp.where(met, own, floor) for own, floor in pairs)
+        up = up & ~met
+    from_floor = lambertian(normal, u[1], u[2])
     mirrored = (x, y, -z)
     direction = tuple(
         jnp.where(vertex.scattered, s, jnp.where(up, m, f))

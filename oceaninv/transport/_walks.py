@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from typing import NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, UInt32
@@ -77,8 +78,8 @@ def walk(
             ahead = _paths.flight(domain, proposal, lanes)
             after, vertex = _paths.advance(domain, proposal, lanes, ahead, u)
             scores = score(lanes, ahead, after, vertex, t)
-            direction, cosine, density = _paths.deflect(proposal, after, vertex, ahead.up, u)
-            scalar, spectral = _weights.scatter(medium, after, vertex, cosine, density)
+            direction, cosine, density = _paths.deflect(proposal, after, vertex, ahead, u)
+            scalar, spectral = _weights.scatter(medium, after, vertex, ahead, cosine, density)
             after = after._replace(
                 direction=direction, weight=after.weight * scalar, spectral=spectral
             )
@@ -115,7 +116,12 @@ def world(scene: Scene, words: UInt32[Array, " 2"], proposal: Proposal | None = 
         edges = scene.water.interfaces.astype(edges.dtype)
     floor = None if scene.floor is None else scene.floor.depth
     index = None if scene.surface is None else scene.surface.index.astype(edges.dtype)
-    domain = jax.lax.stop_gradient(Domain(edges, floor, index))
+    rows = jnp.eye(len(scene.objects), dtype=edges.dtype)
+    things = tuple(
+        eqx.tree_at(lambda o: o.reflectance, thing, row)
+        for thing, row in zip(scene.objects, rows, strict=True)
+    )
+    domain = jax.lax.stop_gradient(Domain(edges, floor, index, things))
     proposal = _weights.propose(scene) if proposal is None else proposal
     return World(domain, proposal, _weights.medium(scene, proposal), words)
 

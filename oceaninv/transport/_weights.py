@@ -16,7 +16,7 @@ from jaxtyping import Array, Float
 from oceaninv.iops import IOPs
 from oceaninv.phase import AbstractPhase
 from oceaninv.scene import Scene
-from oceaninv.transport._paths import Lanes, Proposal, Vertex
+from oceaninv.transport._paths import Flight, Lanes, Proposal, Vertex
 from oceaninv.transport._sampling import half_angle_table
 
 _TINY = 1e-20  # 1/m: scattering coefficients below count as this in a logarithm
@@ -32,6 +32,7 @@ class Medium(NamedTuple):
     rows: tuple[Float[Array, "shape wl"], ...]
     phases: tuple[tuple[AbstractPhase, ...], ...]
     log_floor: Float[Array, " wl"] | None
+    things: Float[Array, "thing wl"]
 
 
 def waters(scene: Scene) -> tuple[IOPs, ...]:
@@ -40,9 +41,9 @@ def waters(scene: Scene) -> tuple[IOPs, ...]:
 
 
 def mixed(scene: Scene) -> bool:
-    """Whether a layer has several phase functions: the spectrum of a scattering then depends on its
-    angle, and no count tells it."""
-    return any(len(w.phases) > 1 for w in waters(scene))
+    """Whether walks carry a spectral factor: a layer has several phase functions, so that the
+    spectrum of a scattering depends on its angle, or objects have spectra of their own."""
+    return bool(scene.objects) or any(len(w.phases) > 1 for w in waters(scene))
 
 
 @eqx.filter_jit
@@ -59,7 +60,16 @@ def propose(scene: Scene) -> Proposal:
     if scene.floor is not None:
         # Not 0: a black floor has derivatives that need walks which touch it.
         floor = jnp.maximum(jnp.mean(scene.floor.reflectance), 0.02)
-    return Proposal(jnp.stack(rates), jnp.stack(tables), floor)
+    things = [jnp.maximum(jnp.mean(thing.reflectance), 0.02) for thing in scene.objects]
+    things = jnp.stack(things) if things else jnp.zeros((0,), floor.dtype)
+    return Proposal(jnp.stack(rates), jnp.stack(tables), floor, things)
+
+
+def reflectances(scene: Scene) -> Float[Array, "thing wl"]:
+    """Of the objects."""
+    if not scene.objects:
+        return jnp.zeros((0, len(scene.wavelength)), scene.light.direct.dtype)
+    return jnp.stack([thing.reflectance for thing in scene.objects])
 
 
 def medium(scene: Scene, proposal: Proposal) -> Medium:
@@ -80,6 +90,7 @@ def medium(scene: Scene, proposal: Proposal) -> Medium:
         tuple(w.b_components for w in layers),
         tuple(w.phases for w in layers),
         log_floor,
+        reflectances(scene) / proposal.things[:, None],
     )
 
 
@@ -121,7 +132,7 @@ def volume_scattering(
 
 
 def scatter(
-    medium: Medium, lanes: Lanes, vertex: Vertex, cosine: Array, density: Array
+    medium: Medium, lanes: Lanes, vertex: Vertex, ahead: Flight, cosine: Array, density: Array
 ) -> tuple[Float[Array, "..."], Float[Array, "... wl"] | None]:
     """Scalar and spectral factors of a new direction drawn with `density` at `cosine`."""
     scalar = jnp.ones_like(lanes.weight)
@@ -137,6 +148,9 @@ def scatter(
             for ratio, row in zip(ratios, rows, strict=True):
                 factor += outer(ratio, row / whole)
             spectral = jnp.where(here[..., None], spectral * factor, spectral)
+    if ahead.thing is not None and spectral is not None:
+        struck = ~vertex.scattered & ahead.met
+        spectral = jnp.where(struck[..., None], spectral * (ahead.thing @ medium.things), spectral)
     return scalar, spectral
 
 

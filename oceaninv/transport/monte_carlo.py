@@ -1,9 +1,14 @@
 """Monte Carlo: walks traced once, weighed at every wavelength."""
 
+from typing import ClassVar
+
 import equinox as eqx
 import jax
+import jax.core
+import numpy as np
 from jaxtyping import Array, Float, Key
 
+from oceaninv.objects import Box, Sphere
 from oceaninv.optics import Rays
 from oceaninv.scene import Scene
 from oceaninv.transport import _backward, _forward
@@ -42,6 +47,8 @@ class MonteCarlo(AbstractTransport):
     thin: bool = eqx.field(static=True)
     proposal: Proposal | None
 
+    sees_things: ClassVar[bool] = True
+
     def __init__(
         self,
         paths: int = 2**14,
@@ -64,13 +71,19 @@ class MonteCarlo(AbstractTransport):
         return MonteCarlo(self.paths, self.bounces, self.thin, propose(scene))
 
     def radiance(self, scene: Scene, rays: Rays, key: Key[Array, ""] | None = None) -> Estimate:
-        """See `oceaninv.radiance`."""
+        """See `oceaninv.radiance`; ValueError for an eye inside an object."""
+        _check_outside(scene, rays)
         return _backward.radiance(scene, rays, _words(key), self.plan, self.proposal)
 
     def irradiance(
         self, scene: Scene, depths: Float[Array, " depth"], key: Key[Array, ""] | None = None
     ) -> Irradiance:
         """See `oceaninv.irradiance`."""
+        if scene.objects or scene.lamps:
+            raise ValueError(
+                "irradiance at a depth is one number only in horizontally uniform light: ask for "
+                "radiance, or leave objects and lamps out of the scene."
+            )
         found = _forward.irradiance(scene, depths, _words(key), self.plan, self.proposal)
         return Irradiance(*(jax.tree.map(lambda leaf, i=i: leaf[:, i], found) for i in range(3)))
 
@@ -84,3 +97,22 @@ def _words(key):
     if key is None:
         raise ValueError("MonteCarlo draws random numbers: pass key=jax.random.key(seed).")
     return key_words(key)
+
+
+def _check_outside(scene: Scene, rays: Rays) -> None:
+    """ValueError if a concrete eye is inside a sphere or box."""
+    arrays = jax.tree.leaves((scene.objects, rays.origin))
+    if any(isinstance(leaf, jax.core.Tracer) for leaf in arrays):
+        return
+    eyes = np.asarray(rays.origin)
+    for i, thing in enumerate(scene.objects):
+        inside = np.zeros(len(eyes), bool)
+        if isinstance(thing, Sphere):
+            inside = np.linalg.norm(eyes - np.asarray(thing.centre), axis=1) < float(thing.radius)
+        elif isinstance(thing, Box):
+            lower, upper = np.asarray(thing.lower), np.asarray(thing.upper)
+            inside = np.all((eyes > lower) & (eyes < upper), axis=1)
+        if inside.any():
+            raise ValueError(
+                f"the eye at {eyes[inside][0].tolist()} m is inside objects[{i}]: put it outside."
+            )
