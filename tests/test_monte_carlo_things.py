@@ -65,14 +65,14 @@ def test_sphere_shadow_and_lamp_in_clear_water():
 
 
 def test_spot_lamp_scatters_once():
-    """A beam from the side across the line of sight, in water so thin that light scatters once:
+    """A beam across the line of sight, in water so thin that light scatters once:
     the closed form by quadrature, within the stated error."""
     b = 1e-4
     thin = oi.IOPs(WAVELENGTH, 0 * ONE, b * ONE, HenyeyGreenstein(0.5))
     lamp = oi.SpotLamp([2.0, 0.0, 3.0], [-1.0, 0.0, 0.0], 20.0, ONE)
     scene = oi.Scene(thin, oi.Light(0.0, 0 * ONE), floor=oi.Floor(6.0, 0 * ONE), lamps=(lamp,))
     rays = oi.Rays(A([0.0, 0.0, 1.0]), A([[0.0, 0.0, 1.0]]))
-    found = oi.radiance(scene, rays, oi.MonteCarlo(2**12, 2), key=KEY)
+    found = oi.radiance(scene, rays, oi.MonteCarlo(2**13, 2), key=KEY)
     z = np.linspace(1.0, 6.0, 20001)
     r = np.hypot(2.0, z - 3.0)
     lit = 2.0 / r >= np.cos(np.radians(20.0))

@@ -5,9 +5,9 @@ per layer, scattering angles from one table per layer.  What it needs to be weig
 kept in `Lanes`: lengths and scattering counts per layer, floor hits, one scalar weight.  Nothing
 here is differentiated.
 
-A flight never leaves the water: of the light that reaches a boundary only the share that comes back
-(the surface's reflectance, the floor's) competes with scattering, and the sum of both multiplies
-the weight.  What leaves is scored by its expected value.
+A flight never leaves the water: of the light that reaches a boundary only the share that comes
+back (the surface's reflectance, the floor's) competes with scattering.  What leaves is scored by
+its expected value.
 """
 
 from typing import NamedTuple
@@ -21,6 +21,7 @@ from oceaninv.objects import AbstractObject, nearest
 from oceaninv.optics import fresnel_from_water
 from oceaninv.transport._sampling import Vector, lambertian, sample_half_angle, turn
 
+_BOUNCED = 0.75  # greatest chance of a reflection where scattering is possible
 _LEVEL = 1e-4  # flights closer to horizontal than this cosine stay in their layer
 
 
@@ -63,8 +64,8 @@ class Lanes(NamedTuple):
 class Flight(NamedTuple):
     """The way ahead.  `up`: whether upwards; `ends`: whether at the surface or floor; `lengths` by
     layer and `distance` in all (0 where endless); `reflectance` of the surface; `optical` length at
-    the proposal's rate; the shares `returned` from the end and `kept` in the water in all; which
-    object it meets instead (`thing`: a row of zeros for none) and its `normal`, None without any.
+    the proposal's rate; the share `returned` from the end; which object it meets instead (`thing`:
+    a row of zeros for none) and its `normal`, None without any.
     """
 
     up: Bool[Array, "..."]
@@ -74,7 +75,6 @@ class Flight(NamedTuple):
     optical: Float[Array, "..."]
     distance: Float[Array, "..."]
     returned: Float[Array, "..."]
-    kept: Float[Array, "..."]
     thing: Float[Array, "... thing"] | None = None
     normal: Vector | None = None
 
@@ -160,8 +160,7 @@ def flight(domain: Domain, proposal: Proposal, lanes: Lanes) -> Flight:
     if thing is not None:
         back = back + thing @ proposal.things
     returned = jnp.where(bounded, jnp.exp(-optical) * back, 0.0)
-    kept = returned - jnp.expm1(-optical)
-    return Flight(up, lengths, ends, reflectance, optical, distance, returned, kept, thing, normal)
+    return Flight(up, lengths, ends, reflectance, optical, distance, returned, thing, normal)
 
 
 def _scattered_at(domain: Domain, proposal: Proposal, lanes: Lanes, depth: Array):
@@ -196,8 +195,14 @@ def advance(
 ) -> tuple[Lanes, Vertex]:
     """The walks at the ends of their flights, not yet turned.  The weight of a walk that scattered
     lacks the phase function over the density of its new direction."""
-    kept = jnp.where(ahead.kept > 0, ahead.kept, 1.0)
-    bounced = u[3] * kept < ahead.returned
+    scatters = -jnp.expm1(-ahead.optical)
+    kept = ahead.returned + scatters
+    # Also in the thinnest water one walk in four scatters.
+    chance = jnp.minimum(ahead.returned / jnp.where(kept > 0, kept, 1.0), _BOUNCED)
+    bounced = u[3] < chance
+    share = jnp.where(
+        bounced, ahead.returned / jnp.where(bounced, chance, 1.0), scatters / (1.0 - chance)
+    )
     depth = jnp.minimum(-jnp.log1p(u[0] * jnp.expm1(-ahead.optical)), ahead.optical)
     length, z = _scattered_at(domain, proposal, lanes, depth)
     end = jnp.where(ahead.up, 0.0, 0.0 if domain.floor is None else domain.floor)
@@ -210,14 +215,14 @@ def advance(
     length = jnp.where(bounced, ahead.distance, length)
     parts = by_layer(domain, lanes.position[2], z, length)
     layer = layer_of(domain, z)
-    scattered = ~bounced & (ahead.kept > 0)
+    scattered = ~bounced & (scatters > 0)
     x, y, _ = lanes.position
     counts = tuple(
         jnp.where(scattered & (layer == i), k + 1.0, k) for i, k in enumerate(lanes.counts)
     )
     lanes = lanes._replace(
         position=(x + length * lanes.direction[0], y + length * lanes.direction[1], z),
-        weight=lanes.weight * ahead.kept,
+        weight=lanes.weight * share,
         lengths=tuple(s + d for s, d in zip(lanes.lengths, parts, strict=True)),
         counts=counts,
         floors=jnp.where(bounced & ahead.ends & ~ahead.up, lanes.floors + 1.0, lanes.floors),
