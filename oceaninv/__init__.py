@@ -30,11 +30,12 @@ from oceaninv.bio_optics import (
 from oceaninv.camera import Camera, Sensor
 from oceaninv.inelastic import CDOMFluorescence, ChlorophyllFluorescence, Inelastic, Raman
 from oceaninv.iops import IOPs, Layers
-from oceaninv.light import Light, PointLamp, SpotLamp
+from oceaninv.light import CardioidalSky, Light, PointLamp, SpotLamp, TabulatedSky
 from oceaninv.objects import Box, HeightField, Sphere
 from oceaninv.optics import Rays
 from oceaninv.scene import FlatSurface, Floor, Scene
 from oceaninv.scene_file import SceneFile, load_scene
+from oceaninv.transport import apparent
 from oceaninv.transport.base import Estimate, Irradiance
 from oceaninv.transport.four_stream import FourStream
 from oceaninv.transport.front import irradiance, photograph, radiance
@@ -50,6 +51,7 @@ __all__ = [
     "Box",
     "CDOMFluorescence",
     "Camera",
+    "CardioidalSky",
     "ChlorophyllFluorescence",
     "Constituents",
     "Detritus",
@@ -77,7 +79,9 @@ __all__ = [
     "Shadows",
     "Sphere",
     "SpotLamp",
+    "TabulatedSky",
     "TwoStream",
+    "apparent",
     "attenuation",
     "gutierrez2008",
     "inelastic",

@@ -11,8 +11,61 @@ from oceaninv import tables
 from oceaninv.iops import check_concrete
 
 
+class AbstractSky(eqx.Module):
+    """How a sky's radiance depends on zenith angle, the same at all wavelengths and azimuths."""
+
+    @abc.abstractmethod
+    def shape(self, cosine: Float[Array, " ray"]) -> Float[Array, " ray"]:
+        """Radiance at the cosine of the zenith angle, relative to a uniform sky that gives the
+        same irradiance."""
+
+
+class CardioidalSky(AbstractSky):
+    """An overcast sky: radiance in proportion to 1 + 2 cos(zenith) (Moon & Spencer 1942)."""
+
+    def shape(self, cosine: Float[Array, " ray"]) -> Float[Array, " ray"]:
+        return 3 / 7 * (1 + 2 * cosine)
+
+
+class TabulatedSky(AbstractSky):
+    """A sky whose radiance is known at some zenith angles; linear in the cosine between them.
+
+    **Arguments:** `zenith`: (angle,) degrees, concrete, increasing from 0 to 90; `radiance`:
+    (angle,) in any unit, not all 0.  Others raise ValueError.
+    """
+
+    cosine: tuple[float, ...] = eqx.field(static=True)
+    radiance: Float[Array, " angle"]
+
+    def __init__(self, zenith, radiance):
+        zenith = np.asarray(zenith, dtype=float)
+        check_concrete("radiance", radiance)
+        radiance = jnp.asarray(radiance)
+        self.radiance = radiance.astype(jnp.result_type(float, radiance))
+        if zenith.ndim != 1 or zenith.shape != self.radiance.shape or zenith.size < 2:
+            raise ValueError(
+                f"zenith and radiance must be two vectors of one length, 2 at least, not of shapes "
+                f"{zenith.shape} and {self.radiance.shape}."
+            )
+        if zenith[0] != 0 or zenith[-1] != 90 or np.any(np.diff(zenith) <= 0):
+            raise ValueError("zenith must increase from 0 to 90 degrees.")
+        self.cosine = tuple(np.cos(np.radians(zenith))[::-1].tolist())
+
+    def shape(self, cosine: Float[Array, " ray"]) -> Float[Array, " ray"]:
+        x = np.array(self.cosine)
+        x[0] = 0.0
+        values = self.radiance[::-1]
+        # The integral of 2 mu over the hat of each node.
+        step, weight = np.diff(x), np.zeros_like(x)
+        weight[:-1] += step * (2 * x[:-1] + x[1:]) / 3
+        weight[1:] += step * (x[:-1] + 2 * x[1:]) / 3
+        mean = jnp.sum(jnp.asarray(weight, dtype=values.dtype) * values)
+        seen = jnp.interp(cosine, jnp.asarray(x, cosine.dtype), values.astype(cosine.dtype))
+        return seen / mean.astype(cosine.dtype)
+
+
 class Light(eqx.Module):
-    """A sun and, optionally, a uniform sky.
+    """A sun and, optionally, a sky.
 
     **Arguments:**
 
@@ -21,13 +74,19 @@ class Light(eqx.Module):
     - `direct`: (wl,) irradiance of the sunbeam on a plane normal to the beam, above the surface,
       W m-2 nm-1 (any unit: results come out in the same).
     - `diffuse`: (wl,) radiance of a uniform sky, W m-2 sr-1 nm-1; `None` is a black sky.
+    - `sky`: `CardioidalSky()` or `TabulatedSky(...)`, which spread the irradiance of that uniform
+      sky, pi times `diffuse`, unevenly; `None` is uniform.
     """
 
     zenith: Float[Array, ""]
     direct: Float[Array, " wl"]
     diffuse: Float[Array, " wl"] | None
+    sky: AbstractSky | None
 
-    def __init__(self, zenith, direct, diffuse=None):
+    def __init__(self, zenith, direct, diffuse=None, sky=None):
+        if sky is not None and diffuse is None:
+            raise ValueError("a sky needs diffuse, the radiance of the uniform sky as bright.")
+        self.sky = sky
         check_concrete("zenith", zenith, 0.0, 89.9)
         check_concrete("direct", direct)
         self.direct = jnp.asarray(direct)
@@ -46,6 +105,13 @@ class Light(eqx.Module):
     def cosine(self) -> Float[Array, ""]:
         """Cosine of the sun zenith angle."""
         return jnp.cos(jnp.deg2rad(self.zenith))
+
+    def sky_radiance(self, cosine: Float[Array, " ray"]) -> Float[Array, "ray wl"]:
+        """Radiance of the sky at the cosine of a zenith angle in air; 0 for a black sky."""
+        if self.diffuse is None:
+            return jnp.zeros((cosine.shape[0], self.direct.shape[0]), dtype=self.direct.dtype)
+        shape = jnp.ones_like(cosine) if self.sky is None else self.sky.shape(cosine)
+        return jnp.outer(shape, self.diffuse)
 
 
 def clear_sky(

@@ -92,14 +92,11 @@ def _floor(sources, basis, depth):
     return do.Wall(2 * share * jnp.outer(f, f), f * (share * flux / jnp.pi))
 
 
-def locate(column: Column, z: Float[Array, ""]) -> tuple[Column, Float[Array, ""]]:
-    """The layer at depth z (m) and z's share of it."""
-    if column.top.shape[0] == 1:
-        here = jax.tree.map(lambda leaf: leaf[0], column)
-    else:
-        index = jnp.sum(z > column.top[1:])
-        here = jax.tree.map(lambda leaf: leaf[index], column)
-    return here, (z - here.top) * here.rate
+def locate(column: Column, z: Float[Array, ""], *more) -> tuple:
+    """The layer at depth z (m), z's share of it, and the same layer of further trees."""
+    index = 0 if column.top.shape[0] == 1 else jnp.sum(z > column.top[1:])
+    here, *others = jax.tree.map(lambda leaf: leaf[index], (column, *more))
+    return here, (z - here.top) * here.rate, *others
 
 
 def at_depth(

@@ -70,7 +70,6 @@ def multiple_scattering(
 ) -> Float[Array, ""]:
     """Light scattered from the diffuse field of one azimuth order; `angular` is p_l(mu)."""
     path, _ = stretches(column, sight)
-    root_mu = jnp.sqrt(basis.mu)
 
     def one(layer, modes, beam, field, share, length, top):
         near = do.inside(share, layer, modes, beam, field)
@@ -87,13 +86,21 @@ def multiple_scattering(
         parameters = (length, 1 / sight.mu, beam.nu, sight.up)
         total = mf.apply_functions(mf.forced_seen, modes.k2, modes.matrix, parameters, vectors)
         sums, differences = jnp.sum(total[..., 0], axis=0), jnp.sum(total[..., 1], axis=0)
-        gain = basis.from_order(layer.gain * angular) / (2 * sight.mu)
-        even = (basis.turn @ (basis.even @ gain[0::2])) / root_mu
-        odd = (basis.odd @ gain[1::2]) / root_mu
-        scattered_even = even @ (modes.factor @ sums)
-        scattered_odd = odd @ (modes.inverse.T @ differences)
-        return jnp.where(sight.up, scattered_even - scattered_odd, scattered_even + scattered_odd)
+        return scattered(layer, modes, basis, sight, angular, sums, differences)
 
     leaves = (column.layer, column.modes, column.beam, column.field)
     each = jax.vmap(one)(*leaves, path.share, path.length, path.top)
     return jnp.sum(each * path.clear)
+
+
+def scattered(
+    layer: do.Layer, modes: do.Modes, basis: Basis, sight: Sight, angular, sums, differences
+) -> Float[Array, ""]:
+    """What is scattered into a line of sight, given the integrals of u and v along it."""
+    gain = basis.from_order(layer.gain * angular) / (2 * sight.mu)
+    root_mu = jnp.sqrt(basis.mu)
+    even = (basis.turn @ (basis.even @ gain[0::2])) / root_mu
+    odd = (basis.odd @ gain[1::2]) / root_mu
+    scattered_even = even @ (modes.factor @ sums)
+    scattered_odd = odd @ (modes.inverse.T @ differences)
+    return jnp.where(sight.up, scattered_even - scattered_odd, scattered_even + scattered_odd)

@@ -59,11 +59,13 @@ class AbstractTransport(eqx.Module):
     `inelastic`: whether it honours its inelastic processes.
     `in_pieces`: whether a ray costs the same in a small batch as in a large one, so that pictures
     are drawn in pieces that fit the memory.
+    `any_sky`: whether it honours a sky that is not uniform.
     """
 
     sees_things: ClassVar[bool] = False
     inelastic: ClassVar[bool] = False
     in_pieces: ClassVar[bool] = False
+    any_sky: ClassVar[bool] = False
 
     @abc.abstractmethod
     def radiance(self, scene: Scene, rays: Rays, key: Key[Array, ""] | None) -> Estimate:

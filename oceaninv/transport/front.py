@@ -116,6 +116,11 @@ def _able(scene: Scene, transport: AbstractTransport | None) -> AbstractTranspor
             f"{type(field).__name__} knows no inelastic processes: take PlaneParallel or "
             "MonteCarlo, or a Scene without inelastic."
         )
+    if scene.light.sky is not None and not field.any_sky:
+        raise ValueError(
+            f"{type(field).__name__} knows uniform skies only: take PlaneParallel, or a Light "
+            "without sky, which spreads diffuse evenly."
+        )
     if (scene.objects or scene.lamps) and not transport.sees_things:
         return Shadows(transport)
     return transport

@@ -1,5 +1,7 @@
 """The exact light field of horizontally uniform water, by discrete ordinates."""
 
+from typing import ClassVar
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -11,7 +13,7 @@ from oceaninv._quadrature import Basis, angular_basis, double_gauss, legendre, s
 from oceaninv.iops import IOPs
 from oceaninv.optics import Rays, fresnel_from_water, scattering_half_sine
 from oceaninv.scene import Floor, Scene
-from oceaninv.transport import _column, _ray
+from oceaninv.transport import _column, _emission, _generations, _ray
 from oceaninv.transport.base import AbstractTransport, Estimate, Irradiance, deterministic
 
 
@@ -83,14 +85,31 @@ def _sources(scene: Scene, mu: Array, moments: int, orders: int) -> _column.Sour
         through = (1 - surface) * index**2
     sky = None
     if scene.light.diffuse is not None:
-        sky = jnp.outer(scene.light.diffuse, through)
+        sky = (scene.light.sky_radiance(_in_air(scene, mu)) * through[:, None]).T
         sky = jnp.pad(sky[None], [(0, orders - 1), (0, 0), (0, 0)])
     floor = None if scene.floor is None else scene.floor.reflectance
     return _column.Sources(cosine, sun, angular, sky, surface, floor)
 
 
-def _solve(scene: Scene, streams: int, orders: int) -> tuple[_column.Column, Basis]:
-    """The field of every azimuth order (first axis) and wavelength (second axis)."""
+def flat_basis(streams: int, dtype) -> Basis:
+    """Directions for azimuth order 0 of water without a surface, two moments for each stream."""
+    mu, weight = (jnp.asarray(v, dtype=dtype) for v in double_gauss(streams))
+    return _first(angular_basis(mu, weight, 1, 2 * streams))
+
+
+def _in_air(scene: Scene, mu: Array) -> Array:
+    """Cosine in air of light whose cosine in the water is mu; 0 beyond the critical angle."""
+    if scene.surface is None:
+        return mu
+    index = scene.surface.index.astype(mu.dtype)
+    return safe_sqrt(1 - index**2 * (1 - mu) * (1 + mu))
+
+
+def _solve(
+    scene: Scene, streams: int, orders: int
+) -> tuple[_column.Column, Basis, _column.Sources]:
+    """The field of every azimuth order (first axis) and wavelength (second axis), the bases of
+    the orders, and what enters."""
     mu, weight, moments = quadrature(scene, streams, scene.light.direct.dtype)
     bases = angular_basis(mu, weight, orders, moments)
     sources = _sources(scene, mu, moments, orders)
@@ -99,7 +118,7 @@ def _solve(scene: Scene, streams: int, orders: int) -> tuple[_column.Column, Bas
     by_order = _axes(sources, (None, None, 0, 0, None, None))
     solve = jax.vmap(_column.solve, (water_axes, by_wavelength, None))
     solve = jax.vmap(solve, (None, by_order, 0))
-    return solve(_water(scene, moments), sources, bases), bases
+    return solve(_water(scene, moments), sources, bases), bases, sources
 
 
 def _axes(sources: _column.Sources, axes: tuple) -> _column.Sources:
@@ -113,19 +132,32 @@ def _first(tree):
 
 
 @eqx.filter_jit
-def _fluxes(scene: Scene, depths: Float[Array, " depth"], streams: int) -> Fluxes:
-    columns, basis = _first(_solve(scene, streams, 1))
+def _fluxes(scene: Scene, depths: Float[Array, " depth"], streams: int, generations: int) -> Fluxes:
+    columns, bases, sources = _solve(scene, streams, 1)
     cosine, sun = scene.beam()
+    emitted = None
+    if scene.inelastic is not None:
+        emitted = _first(_generations.emission(scene, columns, bases, sources, generations))
+    columns, basis = _first((columns, bases))
 
-    def at(column, sun, z):
+    def at(column, emitted, sun, z):
         down, up, depth = _column.at_depth(column, z)
+        if emitted is not None:
+            more = _emission.at_depth(column, emitted, z)
+            down, up = down + more[0], up + more[1]
         beam = sun * jnp.exp(-depth / cosine)
         flux = 2 * np.pi * basis.flux
         scalar = flux / basis.mu
         return down @ flux + cosine * beam, up @ flux, down @ scalar + beam, up @ scalar
 
-    over_wavelength = jax.vmap(at, (0, 0, None))
-    return Fluxes(*jax.vmap(over_wavelength, (None, None, 0))(columns, sun, depths))
+    over_wavelength = jax.vmap(at, (0, 0, 0, None))
+    over_depth = jax.vmap(over_wavelength, (None, None, None, 0))
+    return Fluxes(*over_depth(columns, emitted, sun, depths))
+
+
+@eqx.filter_jit
+def _left(scene: Scene, streams: int, generations: int) -> Float[Array, ""]:
+    return _generations.left(scene, *_solve(scene, streams, 1), generations)
 
 
 _HORIZON = 1e-3  # lines of sight closer to horizontal than this count as if this far from it
@@ -133,16 +165,25 @@ _BATCH = 64  # rays that are worked on at a time
 
 
 @eqx.filter_jit
-def _radiance(scene: Scene, rays: Rays, streams: int, orders: int) -> Float[Array, "ray wl"]:
-    columns, bases = _solve(scene, streams, orders)
+def _radiance(
+    scene: Scene, rays: Rays, streams: int, orders: int, generations: int
+) -> Float[Array, "ray wl"]:
+    columns, bases, sources = _solve(scene, streams, orders)
     cosine, sun = scene.beam()
-    layers = (scene.water,) if isinstance(scene.water, IOPs) else scene.water.iops
+    layers = _generations.layers_of(scene)
     attenuation = jnp.stack([w.c for w in layers])
     moments = columns.layer.gain.shape[-1]
     mean = _first((columns, bases))
     floor_radiance = None
     if scene.floor is not None:
         floor_radiance = _floor_radiance(scene.floor, cosine, sun, *mean)
+    emitted, glowing = None, 0
+    if scene.inelastic is not None:
+        emitted = _generations.emission(scene, columns, bases, sources, generations)
+        glowing = _generations.azimuth_orders(scene, orders)
+        if scene.floor is not None and floor_radiance is not None:
+            down = emitted.field.bottom_down[0, :, -1] @ mean[1].flux
+            floor_radiance = floor_radiance + 2 * scene.floor.reflectance * down
 
     def gathered(z, direction):
         """Everything up to the surface or floor, and the transmittance to it, each (wl,)."""
@@ -160,16 +201,23 @@ def _radiance(scene: Scene, rays: Rays, streams: int, orders: int) -> Float[Arra
         multiple = jax.vmap(over_wavelength, (0, 0, None, 0))(columns, bases, sight, angular)
         single = jax.vmap(_ray.single_scattering, (0, None, 0, 0, None))
         clear = jax.vmap(lambda column: _ray.stretches(column, sight)[1])(mean[0])
-        return azimuth @ multiple + single(mean[0], sight, vsf, sun, cosine), clear
+        total = azimuth @ multiple + single(mean[0], sight, vsf, sun, cosine)
+        if emitted is not None:
+            parts = jax.tree.map(lambda leaf: leaf[:glowing], (columns, emitted, bases))
+            along = jax.vmap(_emission.along, (0, 0, None, None, None))
+            along = jax.vmap(along, (0, 0, 0, None, 0))
+            each = along(parts[0], parts[1], parts[2], sight, angular[:glowing])
+            total = total + azimuth[:glowing] @ each
+        return total, clear
 
     def endless(z, direction):
         inside, clear = gathered(z, direction)
         down = direction[2] >= 0
         floor = jnp.zeros_like(sun) if floor_radiance is None else floor_radiance
-        sky = jnp.zeros_like(sun) if scene.light.diffuse is None else scene.light.diffuse
+        steep = jnp.maximum(jnp.abs(direction[2]), _HORIZON)
+        sky = scene.light.sky_radiance(_in_air(scene, steep)[None])[0]
         if scene.surface is not None:
             index = scene.surface.index.astype(z.dtype)
-            steep = jnp.maximum(jnp.abs(direction[2]), _HORIZON)
             reflectance = fresnel_from_water(steep, index)
             mirrored, through = gathered(jnp.zeros_like(z), direction.at[2].set(steep))
             sky = (1 - reflectance) * index**2 * sky + reflectance * (mirrored + floor * through)
@@ -255,19 +303,25 @@ class PlaneParallel(AbstractTransport):
 
     streams: int = eqx.field(static=True)
     orders: int = eqx.field(static=True)
+    generations: int = eqx.field(static=True)
+    inelastic: ClassVar[bool] = True
+    any_sky: ClassVar[bool] = True
 
-    def __init__(self, streams: int = 16, orders: int | None = None):
+    def __init__(self, streams: int = 16, orders: int | None = None, generations: int = 1):
         if streams < 2:
             raise ValueError(f"streams must be at least 2 per hemisphere, not {streams}.")
         orders = streams if orders is None else orders
         if orders < 1:
             raise ValueError(f"orders must be at least 1, not {orders}.")
+        if generations < 1:
+            raise ValueError(f"generations must be at least 1, not {generations}.")
         self.streams = streams
         self.orders = orders
+        self.generations = generations
 
     def fluxes(self, scene: Scene, depths: Float[Array, " depth"]) -> Fluxes:
         """Plane and scalar irradiances of either hemisphere at depths (m), each (depth, wl)."""
-        return _fluxes(scene, depths, self.streams)
+        return _fluxes(scene, depths, self.streams, self.generations)
 
     def irradiance(
         self, scene: Scene, depths: Float[Array, " depth"], key: Key[Array, ""] | None = None
@@ -276,6 +330,11 @@ class PlaneParallel(AbstractTransport):
         fluxes = self.fluxes(scene, depths)
         return Irradiance(*(deterministic(e) for e in (fluxes.Ed, fluxes.Eu, fluxes.E0)))
 
+    def inelastic_left(self, scene: Scene) -> Float[Array, ""]:
+        """Bound on the light of all generations beyond `generations`, relative to the last of
+        them; nan if they do not die out."""
+        return _left(scene, self.streams, self.generations)
+
     def radiance(self, scene: Scene, rays: Rays, key: Key[Array, ""] | None = None) -> Estimate:
         """See `oceaninv.radiance`."""
-        return deterministic(_radiance(scene, rays, self.streams, self.orders))
+        return deterministic(_radiance(scene, rays, self.streams, self.orders, self.generations))

@@ -1,0 +1,187 @@
+"""Apparent optical properties of a light field: attenuation of every definition, reflectances.
+
+Each function says which Kd it returns: just below the surface, in the mean over a depth and deep
+down they differ by up to a third.
+"""
+
+import equinox as eqx
+import jax
+import jax.core
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from oceaninv.iops import IOPs
+from oceaninv.optics import Rays, fresnel_from_air, fresnel_from_water, refracted_cosine
+from oceaninv.scene import Scene
+from oceaninv.transport import _discrete_ordinates as do
+from oceaninv.transport.plane_parallel import PlaneParallel, flat_basis
+
+_STEPS = 7  # of Newton's method
+
+
+class Apparent(eqx.Module):
+    """Apparent optical properties at depths, each (depth, wl).
+
+    `Kd`, `Ku`, `K0`: -d ln/dz of Ed, Eu and E0 right there, 1/m.  `R`: Eu/Ed.  `mean_cosine`,
+    `mean_cosine_down`, `mean_cosine_up`: of all light, of what travels down and of what travels up.
+    """
+
+    Kd: Float[Array, "depth wl"]
+    Ku: Float[Array, "depth wl"]
+    K0: Float[Array, "depth wl"]
+    R: Float[Array, "depth wl"]
+    mean_cosine: Float[Array, "depth wl"]
+    mean_cosine_down: Float[Array, "depth wl"]
+    mean_cosine_up: Float[Array, "depth wl"]
+
+
+def apparent(scene: Scene, depths, transport: PlaneParallel | None = None) -> Apparent:
+    """Attenuation, reflectance and mean cosines at depths (m), from the exact derivative of the
+    fluxes with depth."""
+    depths = _depths(scene, depths)
+    transport = _default(transport)
+    fluxes, slopes = jax.jvp(
+        lambda z: transport.fluxes(scene, z), (depths,), (jnp.ones_like(depths),)
+    )
+    return Apparent(
+        -slopes.Ed / fluxes.Ed,
+        -slopes.Eu / fluxes.Eu,
+        -(slopes.E0d + slopes.E0u) / fluxes.E0,
+        fluxes.Eu / fluxes.Ed,
+        fluxes.mean_cosine,
+        fluxes.Ed / fluxes.E0d,
+        fluxes.Eu / fluxes.E0u,
+    )
+
+
+def kd_between(
+    scene: Scene, upper, lower, transport: PlaneParallel | None = None
+) -> Float[Array, " wl"]:
+    """Mean Kd between two depths (m), ln(Ed(upper)/Ed(lower))/(lower - upper), 1/m."""
+    upper, lower = jnp.asarray(upper, dtype=float), jnp.asarray(lower, dtype=float)
+    depths = _depths(scene, jnp.stack([upper, lower]))
+    light = _default(transport).fluxes(scene, depths).Ed
+    return jnp.log(light[0] / light[1]) / (depths[1] - depths[0])
+
+
+def kd_to_light(
+    scene: Scene, share: float = 0.1, transport: PlaneParallel | None = None
+) -> tuple[Float[Array, " wl"], Float[Array, " wl"]]:
+    """Mean Kd (1/m) from the surface to the depth (m) where Ed has fallen to a share of its value
+    just below the surface, and that depth, each per wavelength.
+
+    In water over a floor that more light than this reaches, both are nan.
+    """
+    if not 0 < share < 1:
+        raise ValueError(f"share must be between 0 and 1, not {share}.")
+    return _to_light(scene, float(share), _default(transport))
+
+
+@eqx.filter_jit
+def _to_light(scene: Scene, share: float, transport: PlaneParallel):
+    dtype = scene.light.direct.dtype
+    deepest = jnp.asarray(np.inf, dtype=dtype)
+    if scene.floor is not None:
+        deepest = scene.floor.depth.astype(dtype)
+
+    def logarithm(z):
+        """ln of Ed at z, each wavelength's own, over Ed at the surface."""
+        light = transport.fluxes(scene, jnp.concatenate([jnp.zeros_like(z[:1]), z])).Ed
+        return jnp.log(jnp.diagonal(light[1:]) / light[0])
+
+    def newton(_, state):
+        # ln Ed is nearly straight in z.
+        z, _ = state
+        value, slope = jax.jvp(logarithm, (z,), (jnp.ones_like(z),))
+        miss = np.log(share) - value
+        return jnp.clip(z + miss / slope, 0.0, deepest), miss
+
+    waters = (scene.water,) if isinstance(scene.water, IOPs) else scene.water.iops
+    start = -np.log(share) / jnp.max(jnp.stack([water.a + water.bb for water in waters]), axis=0)
+    start = jnp.minimum(start, deepest)
+    found, miss = jax.lax.fori_loop(0, _STEPS, newton, (start, start))
+    found = jnp.where(jnp.abs(miss) < 1e-4, found, jnp.nan)
+    return -np.log(share) / found, found
+
+
+@eqx.filter_jit
+def kd_asymptotic(water: IOPs, streams: int = 16) -> Float[Array, " wl"]:
+    """Attenuation (1/m) of all light deep in endless water, which no longer depends on the sun.
+
+    The smallest eigenvalue of the water's modes; `streams` per hemisphere.
+    """
+    moments = 2 * streams
+    basis = flat_basis(streams, water.b_components.dtype)
+
+    def one(a, moments):
+        layer = do.scale_layer(a, moments, jnp.ones_like(a))
+        modes = do.layer_modes(layer, basis)
+        slowest = jnp.argmin(modes.k2)
+        return layer.extinction * jnp.sqrt(modes.matrix[slowest, slowest])
+
+    return jax.vmap(one)(water.a, water.scattering_moments(moments).T)
+
+
+def irradiance_reflectance(
+    scene: Scene, transport: PlaneParallel | None = None
+) -> Float[Array, " wl"]:
+    """R = Eu/Ed just below the surface."""
+    top = _default(transport).fluxes(scene, jnp.zeros(1, dtype=scene.light.direct.dtype))
+    return top.Eu[0] / top.Ed[0]
+
+
+def radiance_above(
+    scene: Scene,
+    directions: Float[Array, "ray 3"],
+    transport: PlaneParallel | None = None,
+    reflected: bool = True,
+) -> Float[Array, "ray wl"]:
+    """Radiance that an eye above a flat surface sees in the water, (ray, wl).
+
+    `directions`: unit vectors, the way the eye looks in air, z > 0 (down).  What leaves the water
+    is (1 - F)/n^2 of the radiance below; `reflected` adds the sky's mirror image, but never the
+    sun's.
+
+    Raises ValueError for a scene without a surface and for eyes that do not look down.
+    """
+    if scene.surface is None:
+        raise ValueError("there is nothing above the water of a scene without a surface.")
+    directions = jnp.asarray(directions)
+    if not isinstance(directions, jax.core.Tracer) and np.any(np.asarray(directions)[:, 2] <= 0):
+        raise ValueError("directions must look down, z > 0, to meet the water from above.")
+    index = scene.surface.index.astype(directions.dtype)
+    cos_air = directions[:, 2]
+    cos_water = refracted_cosine(cos_air, index)
+    inside = jnp.concatenate([directions[:, :2] / index, cos_water[:, None]], axis=1)
+    rays = Rays(jnp.zeros(3, dtype=directions.dtype), inside)
+    below = _default(transport).radiance(scene, rays).value
+    through = (1 - fresnel_from_water(cos_water, index)) / index**2
+    seen = through[:, None] * below
+    if reflected and scene.light.diffuse is not None:
+        sky = scene.light.sky_radiance(cos_air)
+        seen = seen + fresnel_from_air(cos_air, index)[:, None] * sky
+    return seen
+
+
+def remote_sensing_reflectance(
+    scene: Scene, transport: PlaneParallel | None = None, direction=(0.0, 0.0, 1.0)
+) -> Float[Array, " wl"]:
+    """Rrs: radiance that leaves the water per irradiance on the surface, 1/sr; for an eye that
+    looks straight down, or along `direction` in air."""
+    looks = jnp.asarray(direction, dtype=scene.light.direct.dtype)[None]
+    leaving = radiance_above(scene, looks, transport, reflected=False)[0]
+    down = scene.light.cosine * scene.light.direct
+    if scene.light.diffuse is not None:
+        down = down + np.pi * scene.light.diffuse
+    return leaving / down
+
+
+def _default(transport: PlaneParallel | None) -> PlaneParallel:
+    return PlaneParallel() if transport is None else transport
+
+
+def _depths(scene: Scene, depths) -> Float[Array, " depth"]:
+    depths = jnp.atleast_1d(jnp.asarray(depths, dtype=scene.light.direct.dtype))
+    scene.check_depths(depths)
+    return depths
