@@ -6,7 +6,7 @@ from pathlib import Path
 
 import typer
 
-from fitting.commands import photo, profile, render
+from fitting.commands import fidelity, photo, profile, render
 
 INPUT_ERROR = 3
 
@@ -21,6 +21,8 @@ app = typer.Typer(
 app.command("fit-profile")(profile.fit_profile_command)
 app.command("fit-photo")(photo.fit_photo_command)
 app.command("render")(render.render_command)
+app.command("plan")(fidelity.plan_command)
+app.command("trade")(fidelity.trade_command)
 
 
 @app.callback()
@@ -70,7 +72,8 @@ def run(arguments: list[str]) -> int:
 
 def main() -> None:
     """The console script."""
-    _set_up(drawing=sys.argv[1:2] == ["render"])
+    # `trade` times its programs: they are optimised as those of a picture are.
+    _set_up(drawing=sys.argv[1:2] in (["render"], ["trade"]))
     sys.exit(run(sys.argv[1:]))
 
 

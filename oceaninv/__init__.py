@@ -28,6 +28,7 @@ from oceaninv.bio_optics import (
     jerlov,
 )
 from oceaninv.camera import Camera, Sensor
+from oceaninv.fidelity import Plan, plan
 from oceaninv.inelastic import CDOMFluorescence, ChlorophyllFluorescence, Inelastic, Raman
 from oceaninv.iops import IOPs, Layers
 from oceaninv.light import CardioidalSky, Light, PointLamp, SpotLamp, TabulatedSky
@@ -69,6 +70,7 @@ __all__ = [
     "Minerals",
     "MonteCarlo",
     "Phytoplankton",
+    "Plan",
     "PlaneParallel",
     "PointLamp",
     "Raman",
@@ -95,6 +97,7 @@ __all__ = [
     "particles",
     "phase",
     "photograph",
+    "plan",
     "radiance",
     "spectrum",
     "tables",

@@ -139,6 +139,16 @@ def safe_sqrt(x: Float[Array, "..."]) -> Float[Array, "..."]:
     return jnp.where(positive, jnp.sqrt(jnp.where(positive, x, 1.0)), 0.0)
 
 
+def safe_ratio(part: Float[Array, "..."], whole: Float[Array, "..."]) -> Float[Array, "..."]:
+    """part/whole, 0 where the whole is 0 (or below the normal numbers of its dtype).
+
+    The derivative squares nothing: it is finite for whatever whole has a finite inverse.
+    """
+    present = whole > 16.0 * float(jnp.finfo(whole.dtype).tiny)
+    scale = jax.lax.stop_gradient(1.0 / jnp.where(present, whole, 1.0))
+    return jnp.where(present, part * scale / jnp.where(present, whole * scale, 1.0), 0.0)
+
+
 def safe_power(x: Float[Array, "..."], exponent: Float[Array, "..."]) -> Float[Array, "..."]:
     """x^exponent with finite value and gradient at x = 0.
 

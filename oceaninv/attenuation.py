@@ -13,7 +13,7 @@ from jaxtyping import Array, Float, ScalarLike
 from numpy.typing import ArrayLike
 
 from oceaninv import tables
-from oceaninv._numerics import exp_moment, safe_power, safe_sqrt
+from oceaninv._numerics import exp_moment, safe_power, safe_ratio, safe_sqrt
 
 
 def kd_gordon1989(
@@ -129,10 +129,10 @@ def kd_mean(
     mu0 = jnp.asarray(mu0, a.dtype)
     sky = jnp.broadcast_to(jnp.asarray(sky_fraction, a.dtype), a.shape)
     c = a + b
-    w = _ratio(b, c)
+    w = safe_ratio(b, c)
     surface = (1.005 * a + 2.407 * bb) * ((1 - sky) / mu0 + 1.162 * sky)
     deep = (1 + 0.634 * w) * safe_sqrt(a * (a + 0.569 * w * a + 1.163 * bb + 0.032 * w * b))
-    rate = (0.003 * w + 1.758 * _ratio(bb, b)) * c
+    rate = (0.003 * w + 1.758 * safe_ratio(bb, b)) * c
     leading = (1,) * depth.ndim + a.shape
     near = exp_moment(0, rate.reshape(leading) * depth[..., None])
     return deep.reshape(leading) + (surface - deep).reshape(leading) * near
@@ -146,11 +146,5 @@ def irradiance_reflectance(
     R = u (0.293 + 0.96 u - 1.151 u^2)/mu0^1.314 with u = bb/(a + bb).  This project's own fit,
     same domain as `kd_mean`; error at most 10 % in the waters of `tests/test_attenuation.py`.
     """
-    u = _ratio(bb, a + bb)
+    u = safe_ratio(bb, a + bb)
     return u * (0.293 + 0.96 * u - 1.151 * u**2) / jnp.asarray(mu0, a.dtype) ** 1.314
-
-
-def _ratio(part, whole):
-    """part/whole, and 0 where the whole is 0."""
-    present = whole > 0
-    return jnp.where(present, part / jnp.where(present, whole, 1.0), 0.0)

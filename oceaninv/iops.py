@@ -6,6 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from oceaninv._numerics import safe_ratio
 from oceaninv.phase import AbstractPhase, backscatter_ratio_of, moments_of
 from oceaninv.tables import check_wavelength
 
@@ -107,9 +108,7 @@ class IOPs(eqx.Module):
     @property
     def albedo(self) -> Float[Array, " wl"]:
         """Single-scattering albedo b/c, 0 in a vacuum."""
-        c = self.c
-        empty = c <= 0
-        return jnp.where(empty, 0.0, self.b / jnp.where(empty, 1.0, c))
+        return safe_ratio(self.b, self.c)
 
     def scattering_moments(self, order: int) -> Float[Array, "moment wl"]:
         """b times the Legendre moments 0..order of the total phase function, 1/m (no division)."""

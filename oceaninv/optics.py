@@ -47,25 +47,28 @@ def refracted_cosine(cos_outside: Float[Array, "..."], index) -> Float[Array, ".
     """Cosine in the denser medium of light that arrives with `cos_outside`: Snell's law.
 
     `index` is the denser medium's over the thinner one's (>= 1)."""
-    return jnp.sqrt(1.0 - (1.0 - cos_outside**2) / index**2)
+    return jnp.sqrt((index - 1.0) * (index + 1.0) + cos_outside**2) / index
 
 
 def fresnel_from_air(cos_air: Float[Array, "..."], index) -> Float[Array, "..."]:
     """Unpolarised Fresnel reflectance of a flat surface seen from the thinner medium."""
-    cos_water = refracted_cosine(cos_air, index)
-    across = (cos_air - index * cos_water) / (cos_air + index * cos_water)
-    along = (index * cos_air - cos_water) / (index * cos_air + cos_water)
+    # Differences of cosines written as products: nothing cancels as the index nears 1.
+    step = (index - 1.0) * (index + 1.0)
+    root = jnp.sqrt(step + cos_air**2)
+    across = step / (cos_air + root) ** 2
+    along = step * ((index**2 + 1.0) * cos_air**2 - 1.0) / (index**2 * cos_air + root) ** 2
     return 0.5 * (across**2 + along**2)
 
 
 def fresnel_from_water(cos_water: Float[Array, "..."], index) -> Float[Array, "..."]:
     """Unpolarised Fresnel reflectance from the denser medium: 1 beyond the critical angle."""
-    squared = 1.0 - index**2 * (1.0 - cos_water**2)
+    step = (index - 1.0) * (index + 1.0)
+    squared = (index * cos_water) ** 2 - step
     inside = squared > 0
     cos_air = safe_sqrt(squared)
     cos_water = jnp.where(inside, cos_water, 1.0)  # no 0/0 at the horizon, where the answer is 1
-    across = (index * cos_water - cos_air) / (index * cos_water + cos_air)
-    along = (cos_water - index * cos_air) / (cos_water + index * cos_air)
+    across = step / (index * cos_water + cos_air) ** 2
+    along = step * (index**2 - (index**2 + 1.0) * cos_water**2) / (cos_water + index * cos_air) ** 2
     return jnp.where(inside, 0.5 * (across**2 + along**2), 1.0)
 
 
@@ -82,7 +85,7 @@ def diffuse_reflectance(index: Float[Array, ""]) -> tuple[Float[Array, ""], Floa
     mu = jnp.asarray(_NODES**2, dtype=index.dtype)
     weight = jnp.asarray(4 * _NODES**3 * _WEIGHTS, dtype=index.dtype)
     from_air = jnp.sum(weight * fresnel_from_air(mu, index))
-    return from_air, 1.0 - (1.0 - from_air) / index**2
+    return from_air, ((index - 1.0) * (index + 1.0) + from_air) / index**2
 
 
 def scattering_half_sine(

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Key
 
-from oceaninv._numerics import exp_mean, safe_sqrt
+from oceaninv._numerics import exp_mean, safe_ratio, safe_sqrt
 from oceaninv.attenuation import irradiance_reflectance
 from oceaninv.optics import Rays, diffuse_reflectance
 from oceaninv.scene import Scene
@@ -77,8 +77,7 @@ def _plane(field: Field, scene: Scene, depths, e, net):
     sun = field.mu0 * field.direct(depths)
     own = 0.5 * (e / _ROOT3 + net + sun)
     # R depends on how steeply light comes down: from the sun's cosine to a diffuse field's 0.7.
-    lit = own > 0
-    share = 1.0 - sun / jnp.where(lit, own, 1.0)
+    share = 1.0 - safe_ratio(sun, own)
     cosine = jnp.maximum(field.mu0 + share * (0.7 - field.mu0), 0.4)
     reflectance = irradiance_reflectance(a, bb, 1.0)[None, :] / cosine**1.314
     floor_light = jnp.zeros_like(net)
@@ -108,7 +107,7 @@ def solve(scene: Scene) -> Field:
     if scene.floor is not None:
         # Over a floor the light field is regular in K^2 while the root's slope at 0 is infinite: a
         # least value that nothing feels, passed by the derivative, keeps it right at a = 0.
-        least = 2e-14 if a.dtype == jnp.float64 else 1e-9
+        least = (2e-14 if a.dtype == jnp.float64 else 1e-9) * jnp.minimum(spread**2, 1.0)
         squared = squared + jax.lax.stop_gradient(jnp.maximum(least - squared, 0.0))
     K = safe_sqrt(squared)
     k0 = c_star / mu0
@@ -116,9 +115,7 @@ def solve(scene: Scene) -> Field:
     drive = -3.0 * beam * (water.b_star * c_star + water.bg_star * a)
     mixed = drive / jnp.maximum(k0 + K, float(np.finfo(a.dtype).tiny) ** 0.5)
     # ws F0/k0 and N/k0 with the common factor c* cancelled: c* may be 0.
-    empty = c_star <= 0
-    per_k0 = mu0 * jnp.where(empty, 0.0, 1.0 / jnp.where(empty, 1.0, c_star))
-    flux_beam = -ratio * mixed * per_k0 - water.b_star * beam * per_k0
+    flux_beam = -mu0 * (ratio * safe_ratio(mixed, c_star) + beam * safe_ratio(water.b_star, c_star))
 
     dtype = a.dtype
     inner = outer = jnp.zeros((), dtype)

@@ -1,0 +1,171 @@
+"""What each rung of the ladder is expected to get wrong, fitted to random scenes.
+
+The logarithm of a rung's error in one band is a polynomial in a dozen cheap features of the water
+and the light; that of a scene is the worst or the mean over bands, plus a margin that 94 to 97 % of
+the training scenes stay below.  `tests/acceptance/plan.py` fits the numbers and tests them on other
+scenes.
+"""
+
+import csv
+import functools
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from oceaninv.iops import IOPs
+from oceaninv.phase import backscatter_ratio_of
+from oceaninv.scene import Scene
+
+DATA = Path(__file__).parent.parent / "data" / "fidelity.csv"
+LEVEL = np.log(100.0)  # irradiance counts down to the 1 % level
+LEAST = 1e-7  # errors below it are not told apart
+
+
+class Bands(NamedTuple):
+    """Cheap numbers of a water under a light, each (wl,) unless said."""
+
+    a: np.ndarray
+    b: np.ndarray
+    bb: np.ndarray
+    cosine: float  # of the sun in the water
+    sky: np.ndarray  # its share of Ed(0-)
+    kd: np.ndarray  # effective, 1/m
+    light: np.ndarray  # Ed(0-)
+
+
+class Model(NamedTuple):
+    """The error of one rung: coefficients of the features, and the margin in ln."""
+
+    coefficients: np.ndarray
+    margin: float
+    seconds: float  # per scene of the training set
+
+
+def concrete(value, name: str) -> np.ndarray:
+    """A concrete array as numpy; ValueError inside jit."""
+    try:
+        return np.asarray(value, dtype=float)
+    except Exception as error:
+        raise ValueError(
+            f"plan needs the values of {name}: call it outside jit, vmap and grad."
+        ) from error
+
+
+def bands_of(scene: Scene, water: IOPs) -> Bands:
+    """The numbers that everything here is made of, in numpy: nothing to compile."""
+    a = concrete(water.a_components, "the water").sum(axis=0)
+    rows = concrete(water.b_components, "the water")
+    ratios = np.array([float(backscatter_ratio_of(p)) for p in water.phases])
+    b, bb = rows.sum(axis=0), ratios @ rows
+    direct = concrete(scene.light.direct, "the light")
+    cosine = float(np.cos(np.radians(concrete(scene.light.zenith, "the light"))))
+    through, inside = 1.0, cosine
+    if scene.surface is not None:
+        index = concrete(scene.surface.index, "the surface")
+        inside = float(np.sqrt(1.0 - (1.0 - cosine**2) / index**2))
+        through = 0.97
+    sun = through * cosine * direct
+    sky = np.zeros_like(sun)
+    if scene.light.diffuse is not None:
+        sky = np.pi * 0.93 * concrete(scene.light.diffuse, "the light")
+    total = sun + sky
+    share = np.where(total > 0, sky / np.where(total > 0, total, 1.0), 0.0)
+    w = b / np.maximum(a + b, 1e-300)
+    steep = (1 - share) / inside + 1.162 * share
+    near = (1.005 * a + 2.407 * bb) * steep
+    deep = (1 + 0.634 * w) * np.sqrt(a * (a + 0.569 * w * a + 1.163 * bb + 0.032 * w * b))
+    return Bands(a, b, bb, inside, share, np.maximum(0.5 * (near + deep), 1e-9), total)
+
+
+def floor_reach(bands: Bands, scene: Scene, depth: np.ndarray) -> np.ndarray:
+    """(wl,) light that the floor sends back to `depth`, per downward light there."""
+    if scene.floor is None:
+        return np.zeros_like(bands.a)
+    bottom = float(concrete(scene.floor.depth, "the floor"))
+    reflectance = concrete(scene.floor.reflectance, "the floor")
+    return reflectance * np.exp(-2.0 * bands.kd * np.maximum(bottom - depth, 0.0))
+
+
+def features(bands: Bands, scene: Scene, depth: np.ndarray) -> np.ndarray:
+    """(wl, feature) for light looked at from `depth` (wl,) m, or down to it."""
+    a, b, bb = bands.a, np.maximum(bands.b, 1e-12), bands.bb
+    w = b / (a + b)
+    t = np.clip(bands.kd * depth, 0.0, LEVEL)
+    slant = np.full_like(w, 1.0 / bands.cosine)
+    back = np.log(np.clip(bb / b, 1e-3, 0.5))
+    floor = np.log(floor_reach(bands, scene, depth) + 1e-2)
+    rows = (
+        np.ones_like(w),
+        w,
+        w**2,
+        np.log(1.0 - w + 1e-2),
+        back,
+        back**2,
+        slant,
+        slant**2,
+        bands.sky,
+        bands.sky * slant,
+        t,
+        t**2,
+        floor,
+        floor**2,
+        w * t,
+        w * slant,
+        w * back,
+        bands.sky * t,
+        slant * t,
+    )
+    return np.stack(rows, axis=1)
+
+
+def depths_of(bands: Bands, scene: Scene, quantity: str, depth: float | None) -> np.ndarray:
+    """(wl,) where the light is looked at, m: to the 1 % level or the floor, or the eye's depth."""
+    deepest = LEVEL / bands.kd
+    if scene.floor is not None:
+        deepest = np.minimum(deepest, float(concrete(scene.floor.depth, "the floor")))
+    if quantity == "irradiance" or depth is None:
+        return deepest
+    return np.full_like(deepest, depth)
+
+
+def weights_of(bands: Bands, depth: np.ndarray, channels: np.ndarray) -> np.ndarray:
+    """(channel, wl) share of each band in what a channel sees, roughly."""
+    seen = bands.light * np.exp(-np.minimum(bands.kd * depth, 50.0)) * bands.bb
+    seen = seen / np.maximum(bands.a + bands.bb, 1e-300)
+    part = np.abs(channels) * seen[None, :]
+    return part / np.maximum(part.sum(axis=1, keepdims=True), 1e-300)
+
+
+def combine(log_error: np.ndarray, bands: Bands, depth, quantity: str, channels) -> float:
+    """ln of a scene's error from that of its bands."""
+    if quantity == "photograph":
+        return float(np.log(np.max(weights_of(bands, depth, channels) @ np.exp(log_error))))
+    if quantity == "radiance":
+        # Bands that have less than 1 % of their light there are not looked at.
+        lit = bands.kd * depth <= 1.05 * LEVEL
+        log_error = log_error[lit] if lit.any() else log_error
+    return float(np.max(log_error))
+
+
+@functools.cache
+def models() -> dict[tuple[str, str], Model]:
+    """By quantity and rung, as `repr` writes it."""
+    found = {}
+    with DATA.open(newline="") as file:
+        for row in csv.reader(line for line in file if not line.startswith("#")):
+            margin, seconds, *coefficients = (float(x) for x in row[2:])
+            found[row[0], row[1]] = Model(np.array(coefficients), margin, seconds)
+    return found
+
+
+def predicted(quantity: str, rung: str, scene: Scene, parts, depth, channels) -> float:
+    """The error that about 95 % of scenes like this one stay below; the worst of its layers."""
+    model = models()[quantity, rung]
+    worst = 0.0
+    for bands in parts:
+        at = depths_of(bands, scene, quantity, depth)
+        log_error = features(bands, scene, at) @ model.coefficients
+        scene_error = combine(log_error, bands, at, quantity, channels)
+        worst = max(worst, float(np.exp(np.clip(scene_error + model.margin, -16.0, 3.0))))
+    return worst

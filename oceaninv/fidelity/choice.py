@@ -1,0 +1,164 @@
+"""The cheapest model of a scene that is good enough, and why."""
+
+import dataclasses
+from collections.abc import Mapping
+
+import numpy as np
+
+from oceaninv.camera import Camera
+from oceaninv.fidelity import _errors as errors
+from oceaninv.fidelity._terms import Term, reduced_bands, reduced_scene
+from oceaninv.iops import IOPs
+from oceaninv.scene import Scene
+from oceaninv.spectrum import generic_camera
+from oceaninv.transport.base import AbstractTransport
+from oceaninv.transport.four_stream import FourStream
+from oceaninv.transport.plane_parallel import PlaneParallel
+from oceaninv.transport.two_stream import TwoStream
+
+QUANTITIES = ("irradiance", "radiance", "photograph")
+# Cheapest first.  KdTransport costs what TwoStream costs and is right less often: it is for waters
+# of which only Kd is known.
+FLUX_LADDER = (TwoStream(), FourStream(), *(PlaneParallel(n, 1) for n in (4, 8, 16)))
+RADIANCE_LADDER = (TwoStream(), FourStream(), *(PlaneParallel(n) for n in (6, 12, 16, 20)))
+
+
+@dataclasses.dataclass(frozen=True)
+class Plan:
+    """A choice and its reasons.
+
+    - `transport`: the cheapest one that is expected to keep the tolerance.
+    - `scene`: the scene to give it, without the terms and bands that do not matter.
+    - `bands`: (wl,) nm that are left.
+    - `terms`: by name, what each term of the scene contributes at most, and whether it is kept.
+    - `predicted_error`: that about 95 % of similar scenes stay below, dropped terms included.
+    - `why`: one sentence per decision.
+    """
+
+    transport: AbstractTransport
+    scene: Scene
+    bands: np.ndarray
+    terms: Mapping[str, Term]
+    predicted_error: float
+    why: str
+
+    def metadata(self, tolerance: float) -> dict:
+        """What a file should say of the choice."""
+        return {
+            "transport": repr(self.transport),
+            "tolerance": tolerance,
+            "predicted_error": self.predicted_error,
+            "dropped": [name for name, term in self.terms.items() if not term.kept],
+            "bands": len(self.bands),
+        }
+
+
+def plan(
+    scene: Scene,
+    tolerance: float,
+    quantity: str = "irradiance",
+    *,
+    depth: float | None = None,
+    camera: Camera | None = None,
+) -> Plan:
+    """The cheapest sufficient model of a scene.  Concrete values only: call it outside jit.
+
+    **Arguments:**
+
+    - `tolerance`: relative error to stay below, 0 < tolerance < 1.
+    - `quantity`: "irradiance" (largest error of Ed over depths to the 1 % light level or the
+      floor), "radiance" (95th percentile over directions beyond 20 degrees of the sun) or
+      "photograph" (rms error over the mean, of the worst channel).
+    - `depth`: of the eye, m; by default any down to the 1 % level.  `camera`: the camera of a
+      photograph, which knows its depth; by default a generic one.
+
+    The predicted error comes from random scenes in which each rung was tried
+    (`tests/acceptance/plan.py`: waters of chlorophyll 0.01-30 mg/m3, CDOM and detritus 0.001-5 /m,
+    sun 0-75 degrees, 0.5-40 m, a floor or none, sky up to half of the light, flat surface); far
+    from those it is a guess.  If no rung promises the tolerance, the best is returned and `why`
+    says so.
+
+    **Raises** ValueError for other arguments, for values that are traced, and for lamps or objects
+    while no transport can draw them.
+    """
+    if quantity not in QUANTITIES:
+        raise ValueError(f"quantity is {quantity!r}; choose from {', '.join(QUANTITIES)}.")
+    if not 0.0 < tolerance < 1.0:
+        raise ValueError(f"tolerance is {tolerance}; it is a relative error between 0 and 1.")
+    if camera is not None:
+        depth = float(camera.position[2])
+    if depth is not None and not (np.isfinite(depth) and depth >= 0):
+        raise ValueError(f"depth is {depth}; it must be finite and at least 0 m.")
+    if scene.objects or scene.lamps:
+        return _traced(scene, tolerance)
+    response = (
+        (generic_camera() if camera is None else camera.response)
+        if (quantity == "photograph")
+        else None
+    )
+    lean, terms = reduced_scene(scene, tolerance / 5.0, quantity, depth)
+    channels = np.zeros((0, len(scene.wavelength)))
+    if response is not None:
+        lean, terms["bands"], channels = reduced_bands(lean, tolerance / 5.0, response, depth)
+    spent = float(sum(term.bound for term in terms.values() if not term.kept))
+    transport, error, tried = choose(lean, tolerance, quantity, depth, channels, spent)
+    why = "; ".join([*(f"{name}: {term.why}" for name, term in terms.items()), *tried]) + "."
+    return Plan(transport, lean, lean.wavelength, terms, error, why)
+
+
+def choose(
+    scene: Scene,
+    tolerance: float,
+    quantity: str,
+    depth: float | None,
+    channels: np.ndarray,
+    spent: float = 0.0,
+) -> tuple[AbstractTransport, float, list[str]]:
+    """The first rung expected to keep the tolerance, its error, and what was said of each.
+
+    `channels`: (channel, wl) weights of a photograph; `spent`: what dropped terms took already.
+    """
+    waters = (scene.water,) if isinstance(scene.water, IOPs) else scene.water.iops
+    parts = [errors.bands_of(scene, water) for water in waters]
+    tried, best = [], None
+    for transport in FLUX_LADDER if quantity == "irradiance" else RADIANCE_LADDER:
+        lacks = _lacks(transport, scene)
+        if lacks:
+            tried.append(f"{transport!r} does not solve {lacks}")
+            continue
+        error = spent + errors.predicted(quantity, repr(transport), scene, parts, depth, channels)
+        tried.append(f"{transport!r} errs by {100 * error:.2g} %")
+        if error <= tolerance:
+            return transport, error, tried
+        if best is None or error < best[1]:
+            best = (transport, error)
+    if best is None:
+        raise ValueError(f"no transport solves this scene: {'; '.join(tried)}.")
+    tried.append(f"no rung promises {100 * tolerance:.2g} %, {best[0]!r} comes nearest")
+    return *best, tried
+
+
+def _lacks(transport: AbstractTransport, scene: Scene) -> str:
+    """What of a scene a transport cannot solve, or nothing."""
+    if not isinstance(scene.water, IOPs) and not isinstance(transport, PlaneParallel):
+        return "layers"
+    if scene.inelastic is not None and not transport.inelastic:
+        return "inelastic light"
+    return ""
+
+
+def _traced(scene: Scene, tolerance: float) -> Plan:
+    """Things and lamps need the tracer: paths until its random error is half the tolerance."""
+    try:
+        from oceaninv.transport.monte_carlo import MonteCarlo  # pyright: ignore
+    except ImportError:
+        raise ValueError(
+            "this scene has objects or lamps, and no transport at hand draws them: leave them out."
+        ) from None
+    # One path's value scatters about as much as twice its mean.
+    paths = 1 << int(np.clip(np.ceil(np.log2((4.0 / tolerance) ** 2)), 6, 24))
+    kept = Term(True, float("inf"), "objects and lamps have no bound: they are kept")
+    why = (
+        f"objects or lamps: only MonteCarlo draws them; {paths} paths for {100 * tolerance:.2g} %."
+    )
+    return Plan(MonteCarlo(paths=paths), scene, scene.wavelength, {"things": kept}, tolerance, why)

@@ -1,0 +1,170 @@
+"""Random scenes for `plan`, and what every rung of the ladder says of them.
+
+Waters of the default bio-optical model, log-uniform over chlorophyll 0.01-30 mg/m3, CDOM 0.001-5 /m
+and detritus 0.001-5 /m; sun 0-75 degrees in air, half the time with a sky that sends up to half of
+the light; flat surface; depth log-uniform over 0.5-40 m, half the time with a floor there (its
+reflectance 0.02-0.5; elsewhere a black one at 1 km, which nothing sees: one program serves both).
+Irradiance: ten depths down to 1 % of the light or the floor, bands apart.
+Radiance and photograph: an eye at a random share of the depth, but where some band still has 1 %
+of its light; radiance in 16 directions, of the bands that have 1 % there; a photograph of 12 pixels
+about a horizontal axis.
+"""
+
+import functools
+import time
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+import oceaninv as oi
+
+WAVELENGTH = np.array([420.0, 490.0, 560.0, 630.0])
+REFERENCE = oi.PlaneParallel(streams=28)
+DIRECTIONS, CHUNK = 16, 10
+# Everything plan() may choose for water alone, by quantity, cheapest first.
+LADDER = {
+    "irradiance": (
+        oi.TwoStream(),
+        oi.FourStream(),
+        *(oi.PlaneParallel(n, 1) for n in (4, 8, 16)),
+    ),
+    "radiance": (
+        oi.TwoStream(),
+        oi.FourStream(),
+        *(oi.PlaneParallel(n, n) for n in (6, 12, 16, 20)),
+    ),
+}
+
+
+class Draw(eqx.Module):
+    """Parameters of random scenes, each with a leading axis."""
+
+    chlorophyll: jax.Array
+    cdom: jax.Array
+    detritus: jax.Array
+    zenith: jax.Array
+    sky: jax.Array  # share of Ed(0-)
+    depth: jax.Array
+    bottom: jax.Array
+    reflectance: jax.Array
+    share: jax.Array  # of the depth, where the eye is
+    views: jax.Array  # (direction + pixel, 3)
+
+
+def draw(count: int, seed: int) -> Draw:
+    """`count` scenes."""
+    rng = np.random.default_rng(seed)
+
+    def between(low, high):
+        return np.exp(rng.uniform(np.log(low), np.log(high), count))
+
+    water = between(0.01, 30.0), between(0.001, 5.0), between(0.001, 5.0)
+    zenith = rng.uniform(0.0, 75.0, count)
+    sky = np.where(rng.random(count) < 0.5, 0.0, rng.uniform(0.0, 0.5, count))
+    depth, reflectance = between(0.5, 40.0), rng.uniform(0.02, 0.5, count)
+    floor = rng.random(count) < 0.5
+    bottom = np.where(floor, depth, 1e3)
+    reflectance = np.where(floor, reflectance, 0.0)
+    share = rng.uniform(0.05, 0.95, count)
+    views = np.stack([_views(rng, z) for z in zenith])
+    return Draw(
+        *(jnp.asarray(v) for v in (*water, zenith, sky, depth, bottom, reflectance, share, views))
+    )
+
+
+def _views(rng, zenith: float) -> np.ndarray:
+    """Directions beyond 20 degrees of the refracted sun and off the horizon, then a camera's."""
+    sine = np.sin(np.radians(zenith)) / 1.34
+    # Whichever azimuth convention puts the sun nearer: both are left out.
+    sun = np.array([[sign * sine, 0.0, -np.sqrt(1 - sine**2)] for sign in (1.0, -1.0)])
+    found = []
+    while len(found) < DIRECTIONS:
+        d = rng.standard_normal(3)
+        d /= np.linalg.norm(d)
+        toward = np.max(sun @ d)
+        if toward < np.cos(np.radians(20.0)) and abs(d[2]) > 0.05:
+            found.append(d)
+    heading = rng.uniform(0, 2 * np.pi)
+    across, up = np.meshgrid(np.linspace(-0.36, 0.36, 4), np.linspace(-0.24, 0.24, 3))
+    forward = np.array([np.cos(heading), np.sin(heading), 0.0])
+    right = np.array([-np.sin(heading), np.cos(heading), 0.0])
+    pixels = forward + across.reshape(-1, 1) * right + up.reshape(-1, 1) * np.array([0, 0, -1.0])
+    return np.concatenate([found, pixels / np.linalg.norm(pixels, axis=1, keepdims=True)])
+
+
+def scene(p: Draw) -> oi.Scene:
+    """One scene; `sky` of the light below the surface is diffuse."""
+    water = oi.BioOpticalModel().iops(
+        oi.Constituents(p.chlorophyll, cdom=p.cdom, detritus=p.detritus), WAVELENGTH
+    )
+    one = jnp.ones(len(WAVELENGTH))
+    bare = oi.Scene(water, oi.Light(p.zenith, one), oi.FlatSurface())
+    cosine, beam = bare.beam()
+    diffuse = p.sky / (1.0 - p.sky) * cosine * beam / (np.pi * (1 - 0.0675))
+    ground = oi.Floor(p.bottom, p.reflectance * one)
+    return oi.Scene(water, oi.Light(p.zenith, one, diffuse), oi.FlatSurface(), ground)
+
+
+def levels(this: oi.Scene, p: Draw):
+    """Depths (10, wl) to the 1 % level or the floor, depth of the eye, and which bands are lit."""
+    water = this.water
+    assert isinstance(water, oi.IOPs)
+    cosine, _ = this.beam()
+    sky = jnp.broadcast_to(p.sky, water.a.shape)
+    deep = jnp.minimum(4.6 / water.a, 1e4)
+    for _ in range(6):  # the depth whose mean Kd takes 99 %
+        kd = jnp.diagonal(oi.attenuation.kd_mean(water.a, water.b, water.bb, cosine, deep, sky))
+        deep = 4.6 / kd
+    end = jnp.minimum(deep, p.bottom)
+    eye = p.share * jnp.minimum(p.depth, jnp.max(deep))
+    return jnp.linspace(0.1, 1.0, 10)[:, None] * end[None, :], eye, eye <= deep
+
+
+@functools.partial(eqx.filter_jit)
+def _answers(chunk: Draw, rung, quantity: str):
+    def one(p):
+        this = scene(p)
+        depths, eye, lit = levels(this, p)
+        if quantity == "irradiance":
+            # Every band at its own depths: the solution is shared.
+            every = jax.vmap(lambda z: oi.irradiance(this, z, rung).Ed.value, in_axes=1, out_axes=2)
+            field = every(depths)
+            return jnp.stack([field[:, i, i] for i in range(len(WAVELENGTH))], axis=1), lit
+        origin = jnp.zeros_like(p.views).at[:, 2].set(eye)
+        return oi.radiance(this, oi.Rays(origin, p.views), rung).value, lit
+
+    return jax.lax.map(one, chunk)
+
+
+def answers(draws: Draw, rung, quantity: str):
+    """(scene, row, wl) values and (scene, wl) lit of one rung, and processor seconds per scene."""
+    count = draws.depth.shape[0]
+    out, seconds = [], []
+    for first in range(0, count, CHUNK):
+        index = jnp.arange(first, first + CHUNK) % count
+        chunk = jax.tree.map(lambda v, i=index: v[i], draws)
+        start = time.process_time()
+        out.append(jax.tree.map(np.asarray, _answers(chunk, rung, quantity)))
+        seconds.append((time.process_time() - start) / CHUNK)
+    values, lit = (np.concatenate(part)[:count] for part in zip(*out, strict=True))
+    return values, lit, float(np.median(seconds[1:] or seconds))
+
+
+@functools.cache
+def channels() -> np.ndarray:
+    """(channel, wl) weights of the photograph."""
+    return np.asarray(oi.spectrum.generic_camera().weights(WAVELENGTH))
+
+
+def errors(value, truth, lit, quantity: str) -> np.ndarray:
+    """(scene,) error of a rung in the sense of the quantity."""
+    relative = np.abs(value / truth - 1.0)
+    if quantity == "irradiance":
+        return relative.max(axis=(1, 2))
+    if quantity == "radiance":
+        part = np.where(lit[:, None, :], relative, np.nan)[:, :DIRECTIONS]
+        return np.nanquantile(part.reshape(len(part), -1), 0.95, axis=1)
+    seen, true = (v[:, DIRECTIONS:] @ channels().T for v in (value, truth))
+    return (np.sqrt(np.mean((seen - true) ** 2, axis=1)) / true.mean(axis=1)).max(axis=1)

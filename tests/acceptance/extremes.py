@@ -1,0 +1,53 @@
+"""More than 100,000 points at and between the corners of every public forward function's domain.
+
+    python -m tests.acceptance.extremes
+
+Values and derivatives finite in both precisions, and single precision beside double.  Prints the
+table and writes extremes.md beside this file; ends with status 1 if anything fails.  Seeded; under
+eight minutes on two cores.
+"""
+
+import os
+import sys
+import time
+from pathlib import Path
+
+import jax
+import numpy as np
+
+QUICK_POINTS, SLOW_POINTS, BATCH = 4096, 2048, 1024
+
+
+def main() -> int:
+    from fitting.cli import quick_compilation
+
+    quick_compilation()
+    jax.config.update("jax_enable_x64", True)
+    from tests import _extremes
+
+    start, total, failed, lines = time.perf_counter(), 0, 0, []
+    for case in _extremes.table():
+        count = SLOW_POINTS if case.slow else QUICK_POINTS
+        bad = [
+            sentence
+            for part in np.split(case.points(count, 7), count // BATCH)
+            for sentence in _extremes.failures(case, part)
+        ]
+        total, failed = total + 2 * count, failed + len(bad)
+        lines.append(
+            f"| {case.name} | {len(case.corners)} | {2 * count} | {'; '.join(bad) or 'none'} |"
+        )
+        print(lines[-1], flush=True)
+    head = (
+        "# Extremes\n\n`python -m tests.acceptance.extremes`: "
+        f"{total} points (each precision counted), {failed} failures, "
+        f"{time.perf_counter() - start:.0f} s on {os.cpu_count()} cores.  Domains: "
+        "`tests/_extremes.py`.\n\n| function | arguments | points | failures |\n|---|---|---|---|\n"
+    )
+    Path(__file__).with_suffix(".md").write_text(head + "\n".join(lines) + "\n")
+    print(head)
+    return int(failed > 0)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

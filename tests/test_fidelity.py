@@ -1,0 +1,168 @@
+"""The choice of a model: what is dropped does not matter, and what is chosen follows the tolerance.
+
+That the predicted errors hold on random scenes is measured by tests/acceptance/plan.py.
+"""
+
+import functools
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import oceaninv as oi
+from oceaninv.fidelity import _errors, choice
+
+WAVELENGTH = np.linspace(410.0, 690.0, 15)
+
+
+@functools.cache
+def _water(chlorophyll=1.0):
+    return oi.BioOpticalModel().iops(
+        oi.Constituents(chlorophyll, cdom=0.1, detritus=0.05), WAVELENGTH
+    )
+
+
+def _scene(floor=None, sky=None, water=None, **more):
+    one = jnp.ones(len(WAVELENGTH))
+    ground = None if floor is None else oi.Floor(floor, 0.3 * one)
+    light = oi.Light(40.0, one, None if sky is None else sky * one)
+    return oi.Scene(water or _water(), light, oi.FlatSurface(), ground, **more)
+
+
+def _ed(scene, depth=5.0):
+    return np.asarray(oi.irradiance(scene, depth).Ed.value)
+
+
+def _rank(quantity, transport):
+    ladder = choice.FLUX_LADDER if quantity == "irradiance" else choice.RADIANCE_LADDER
+    return [repr(t) for t in ladder].index(repr(transport))
+
+
+@pytest.mark.parametrize("quantity", choice.QUANTITIES)
+def test_a_smaller_tolerance_is_never_cheaper(quantity):
+    ranks = [
+        _rank(quantity, oi.plan(_scene(), tolerance, quantity, depth=3.0).transport)
+        for tolerance in (0.6, 0.1, 0.03, 0.01, 0.002)
+    ]
+    assert ranks == sorted(ranks)
+    assert ranks[0] == 0
+    assert ranks[-1] >= 3
+
+
+def test_promises_are_kept_or_refused_in_words():
+    plan = oi.plan(_scene(), 0.05, "irradiance")
+    assert plan.predicted_error <= 0.05
+    assert repr(plan.transport) in plan.why
+    hopeless = oi.plan(_scene(), 1e-5, "radiance")
+    assert hopeless.predicted_error > 1e-5
+    assert "no rung promises" in hopeless.why
+
+
+def test_every_rung_has_its_numbers():
+    for quantity in choice.QUANTITIES:
+        ladder = choice.FLUX_LADDER if quantity == "irradiance" else choice.RADIANCE_LADDER
+        for transport in ladder:
+            assert np.isfinite(_errors.models()[quantity, repr(transport)].coefficients).all()
+
+
+def test_a_floor_out_of_reach_is_dropped_and_a_near_one_is_not():
+    far = oi.plan(_scene(floor=300.0), 0.05, "radiance", depth=2.0)
+    assert far.scene.floor is None
+    assert not far.terms["floor"].kept
+    near = oi.plan(_scene(floor=3.0), 0.05, "radiance", depth=2.0)
+    assert near.scene.floor is not None
+
+
+def test_the_floors_bound_is_not_exceeded():
+    for depth, floor in ((1.0, 4.0), (4.0, 4.5), (5.0, 12.0)):
+        scene = _scene(floor=floor)
+        bands = _errors.bands_of(scene, scene.water)
+        from oceaninv.fidelity._terms import _floor_bound
+
+        bound = _floor_bound(bands, np.full(len(WAVELENGTH), depth), scene, "irradiance")
+        change = np.max(np.abs(_ed(scene, depth) / _ed(_scene(), depth) - 1))
+        assert change <= bound
+
+
+def test_a_black_sky_is_dropped_and_a_bright_one_is_not():
+    assert oi.plan(_scene(sky=0.0), 0.1).scene.light.diffuse is None
+    bright = oi.plan(_scene(sky=0.1), 0.1)
+    assert bright.scene.light.diffuse is not None
+    assert bright.terms["sky"].bound > 0.1
+
+
+def test_layers_that_are_alike_become_one_water():
+    alike = oi.Layers(jnp.array([3.0]), (_water(), _water()))
+    plan = oi.plan(_scene(water=alike), 0.05)
+    assert isinstance(plan.scene.water, oi.IOPs)
+    np.testing.assert_allclose(plan.scene.water.a, _water().a, rtol=1e-12)
+    unlike = oi.Layers(jnp.array([3.0]), (_water(), _water(5.0)))
+    plan = oi.plan(_scene(water=unlike), 0.05)
+    assert isinstance(plan.transport, oi.PlaneParallel)
+    assert "does not solve layers" in plan.why
+
+
+def test_inelastic_terms_are_judged_one_by_one():
+    """Raman light matters in the red at depth, not in the blue near the surface."""
+    inelastic = oi.Inelastic(raman=oi.Raman())
+    scene = _scene(inelastic=inelastic)
+    kept = oi.fidelity._terms.reduced_scene(scene, 0.002, "irradiance", None)
+    assert kept[1]["raman"].kept
+    blue = oi.fidelity._terms.reduced_scene(scene, 0.3, "radiance", 0.01)
+    assert not blue[1]["raman"].kept
+    assert blue[0].inelastic is None
+
+
+def test_fewer_bands_do_for_a_photograph():
+    plan = oi.plan(_scene(), 0.1, "photograph", depth=3.0)
+    assert 3 <= len(plan.bands) < len(WAVELENGTH)
+    assert len(oi.plan(_scene(), 1e-4, "photograph", depth=3.0).bands) == len(WAVELENGTH)
+    assert len(oi.plan(_scene(), 0.1, "irradiance").bands) == len(WAVELENGTH)
+
+
+def _operations(scene):
+    def program(a, scene):
+        here = oi.Scene(
+            oi.IOPs(WAVELENGTH, a, scene.water.b_components, scene.water.phases),
+            scene.light,
+            scene.surface,
+            scene.floor,
+        )
+        return oi.irradiance(here, jnp.array([1.0, 2.0])).Ed.value
+
+    compiled = jax.jit(lambda a: program(a, scene)).lower(scene.water.a_components).compile()
+    return compiled.cost_analysis()["flops"]
+
+
+def test_dropped_terms_are_absent_from_the_program():
+    """Operation counts: the planned scene is the one written without the terms."""
+    planned = oi.plan(_scene(floor=300.0, sky=0.0), 0.05, depth=2.0).scene
+    lean, full = _operations(planned), _operations(_scene(floor=300.0, sky=0.0))
+    assert abs(lean / _operations(_scene()) - 1) < 0.02
+    assert lean < 0.8 * full
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ((0.1, "brightness"), "irradiance, radiance, photograph"),
+        ((0.0, "irradiance"), "between 0 and 1"),
+        ((1.5, "irradiance"), "between 0 and 1"),
+    ],
+)
+def test_bad_arguments_are_a_sentence(arguments, words):
+    with pytest.raises(ValueError, match=words):
+        oi.plan(_scene(), *arguments)
+    with pytest.raises(ValueError, match="at least 0 m"):
+        oi.plan(_scene(), 0.1, "radiance", depth=-1.0)
+
+
+def test_traced_values_are_refused():
+    def choose(scale):
+        scene = _scene()
+        light = oi.Light(40.0, scale * jnp.ones(len(WAVELENGTH)))
+        return oi.plan(oi.Scene(scene.water, light), 0.1).predicted_error
+
+    with pytest.raises(ValueError, match="outside jit"):
+        jax.jit(choose)(1.0)
