@@ -31,7 +31,9 @@ LOOK = (-1.0, -0.7, -1e-3, 0.0, 1e-12, 1e-3, 0.7, 1.0)
 @dataclasses.dataclass(frozen=True)
 class Case:
     """`function`: of (argument,) to an array; `corners`: per argument; `agree`: largest difference
-    of float32 from float64, over the larger of the value and `scale`; `slow`: heavy to compile."""
+    of float32 from float64, over the larger of the value and `scale`; `slow`: heavy to compile;
+    `least_share`: of the second argument, below which the first (absorption beside scattering) is
+    lost in single precision, so that the two precisions are not compared."""
 
     name: str
     function: Callable
@@ -39,6 +41,7 @@ class Case:
     agree: float = 2e-5
     scale: float = 1e-6
     slow: bool = False
+    least_share: float = 0.0
 
     def points(self, count: int, seed: int) -> np.ndarray:
         """(count, argument): two thirds corners with corners, the rest between them."""
@@ -108,17 +111,17 @@ _FLOOR = (*_DEEP, LENGTH[2:], SHARE, SHARE, SHARE)
 
 
 def _transports():
-    for transport, name, slow in (
-        (oi.TwoStream(), "two-stream", False),
-        (oi.FourStream(), "four-stream", True),
-        (oi.PlaneParallel(4, 2), "plane-parallel", True),
+    for transport, name, slow, share in (
+        (oi.TwoStream(), "two-stream", False, 0.0),
+        (oi.FourStream(), "four-stream", True, 1e-5),
+        (oi.PlaneParallel(4, 2), "plane-parallel", True, 1e-5),
     ):
         radiance, irradiance = (
             (f"{name}, {q}", functools.partial(f, transport))
             for q, f in (("radiance, deep", _radiance_deep), ("irradiance, deep", _irradiance_deep))
         )
-        yield Case(*radiance, (*_DEEP, LENGTH, LOOK), 2e-3, 1e-3, True)
-        yield Case(*irradiance, (*_DEEP, LENGTH), 2e-3, 1e-3, slow)
+        yield Case(*radiance, (*_DEEP, LENGTH, LOOK), 2e-3, 1e-3, True, share)
+        yield Case(*irradiance, (*_DEEP, LENGTH), 2e-3, 1e-3, slow, share)
         yield Case(
             f"{name}, radiance, floor",
             functools.partial(_radiance_floor, transport),
@@ -126,6 +129,7 @@ def _transports():
             2e-3,
             1e-3,
             True,
+            share,
         )
         yield Case(
             f"{name}, irradiance, floor",
@@ -134,6 +138,7 @@ def _transports():
             2e-3,
             1e-3,
             True,
+            share,
         )
     yield Case(
         "Kd transport, irradiance",
@@ -216,6 +221,8 @@ def table() -> tuple[Case, ...]:
         "Kd, Lee 2013": (
             lambda p: attenuation.kd_lee2013(*_wide(p[:3]), p[3]),
             (COEFFICIENT, COEFFICIENT, COEFFICIENT, ZENITH),
+            # Water that scatters more than all: the difference may all but vanish.
+            2e-3,
         ),
         "Kd, mean": (
             lambda p: attenuation.kd_mean(*_wide(p[:3]), p[3], p[4:5], p[5])[0],
@@ -275,6 +282,8 @@ def failures(case: Case, points: np.ndarray) -> list[str]:
     # Single precision is judged at the points that it was given.
     exact = np.asarray(program(case)(jnp.asarray(points.astype(np.float32).astype(float)))[0])
     gap = np.abs(values[np.float32] - exact) / np.maximum(np.abs(exact), case.scale)
+    if case.least_share:
+        gap = np.where((points[:, 0] < case.least_share * points[:, 1])[:, None], 0.0, gap)
     bad = ~(gap <= case.agree).all(axis=1)
     if bad.any():
         worst = np.unravel_index(np.nanargmax(gap), gap.shape)

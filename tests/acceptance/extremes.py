@@ -15,7 +15,7 @@ from pathlib import Path
 import jax
 import numpy as np
 
-QUICK_POINTS, SLOW_POINTS, BATCH = 4096, 2048, 1024
+QUICK_POINTS, SLOW_POINTS, BATCH = 4000, 2000, 2000
 
 
 def main() -> int:
