@@ -1,9 +1,9 @@
 """Statistics of the photo fit: against the Cramer-Rao bound, and against waters of another model.
 
-    python -m tests.acceptance.photo_statistics [matched | mismatched | skew]
+    python -m tests.acceptance.photo_statistics [matched | mismatched]
 
-Prints the tables and writes them beside this file (photo_matched.md, photo_mismatched.md,
-photo_skew.md).  Seeded; a few minutes each.
+Prints the tables and writes them beside this file (photo_matched.md, photo_mismatched.md).  Seeded;
+a few minutes each.
 
 Protocol: one frame at 5 m by a Nikon D850; 24 patches (colour-science's ColorChecker 2005) at 1, 2
 and 4 m and open water, horizontally; exposure and white balance unknown; 1 % noise.
@@ -11,8 +11,6 @@ and 4 m and open water, horizontally; exposure and white balance unknown; 1 % no
 - Matched: coastal water (chlorophyll 1.5 mg/m3, CDOM 0.15 /m, detritus 0.08 /m) by the fit's own
   model, every nuisance drawn from its prior.  The bound is Bayesian: information of the readings
   (central finite differences of `fitting.photo.predict`) and of the priors, at each draw's truth.
-- Skew: the same photographs as matched; beside the most probable value the posterior's mean, from
-  importance samples of the fit's own Gaussian with Student's tails.
 - Mismatched: the exact photographs of `_mismatched.py`, fitted with the default model.
 """
 
@@ -36,7 +34,6 @@ from fitting.solve import covariance, value_and_jacobian
 from tests.acceptance import _mismatched
 
 DRAWS, CHUNK, NOISE = 200, 25, 0.01
-SAMPLES = 8000
 RANGES, DEPTH, SUN = (1.0, 2.0, 4.0), 5.0, 40.0
 COAST = {"chlorophyll": 1.5, "cdom": 0.15, "detritus": 0.08}
 QUANTITIES = ("Kd_490", "c_550", "a_cdm_440", "bb_550")
@@ -241,71 +238,6 @@ def matched_table(count: int = DRAWS) -> str:
     return "\n".join(lines)
 
 
-@functools.cache
-def _misfit():
-    """log posterior (sample,) of coordinates (sample, unknown) for readings and a prior."""
-    parameters, (readings,), sunlight = problem()
-    layout, prior, transport = parameters.layout(), parameters.prior(), oi.TwoStream()
-
-    def one(x, seen):
-        model = predict(layout.values(x), readings, transport, sunlight)
-        data = (seen - model) / (NOISE * seen)
-        return -0.5 * (jnp.sum(data**2) + jnp.sum(prior.residual(x) ** 2))
-
-    return jax.jit(jax.vmap(one, in_axes=(0, None)))
-
-
-def posterior_mean(found, cov, seen, rng, count: int = SAMPLES, dof: float = 6.0):
-    """Mean of the coordinates (unknown,) and the effective number of samples, for one photograph.
-
-    Proposal: Student's t with the shape of the fit's covariance, a fifth wider.
-    """
-    half = np.linalg.cholesky(cov) * 1.2
-    normal = rng.standard_normal((count, len(found)))
-    stretch = np.sqrt(dof / rng.chisquare(dof, count))[:, None]
-    step = normal * stretch
-    x = found[None, :] + step @ half.T
-    log_proposal = -0.5 * (dof + len(found)) * np.log1p(np.sum(step**2, axis=1) / dof)
-    log_target = np.concatenate(
-        [np.asarray(_misfit()(jnp.asarray(part), jnp.asarray(seen))) for part in np.split(x, 8)]
-    )
-    log_weight = np.where(np.isfinite(log_target), log_target, -np.inf) - log_proposal
-    weight = np.exp(log_weight - log_weight.max())
-    weight /= weight.sum()
-    return weight @ x, 1.0 / np.sum(weight**2)
-
-
-def skew_table(count: int = DRAWS, seed: int = 11) -> str:
-    """Bias of the most probable value and of the posterior mean, in units of the bound."""
-    x = truths(count, seed)
-    exact, _ = by_chunks(programs()[0], x)
-    noise = np.random.default_rng(seed + 1).standard_normal(exact.shape)
-    seen = exact * (1 + NOISE * noise)
-    best = bayesian_bound(x)[0]
-    found, _, cov, *_ = fit_all(seen, np.full(count, SUN))
-    rng = np.random.default_rng(seed + 2)
-    means, effective = zip(
-        *(posterior_mean(*parts, rng) for parts in zip(found, cov, seen, strict=True)), strict=True
-    )
-    lines = [
-        "# Photo fit, matched model: the mode and the mean of a skewed posterior\n",
-        f"`python -m tests.acceptance.photo_statistics skew`: {count} draws, {SAMPLES} importance "
-        f"samples each, of which effective: median {np.median(effective):.0f}, least "
-        f"{min(effective):.0f}.  Errors of logarithms in units of the bound, with the standard "
-        "error of their mean.\n",
-        "| | bound (relative) | bias of the mode | bias of the posterior mean |",
-        "|---|---|---|---|",
-    ]
-    for name in COAST:
-        i = problem()[0].names.index(name)
-        cells = []
-        for value in (found, np.stack(means)):
-            error = (value[:, i] - x[:, i]) / best[:, i]
-            cells.append(f"{error.mean():+.3f} +- {error.std(ddof=1) / np.sqrt(count):.3f}")
-        lines.append(f"| {name} | {np.median(best[:, i]):.3f} | {cells[0]} | {cells[1]} |")
-    return "\n".join(lines)
-
-
 def photographs(repeats: int, seed: int = 5):
     """Noisy readings (water x repeat, reading, channel), suns and true ln quantities."""
     weights = np.asarray(oi.spectrum.camera_response("Nikon D850").weights(WAVELENGTH))
@@ -378,9 +310,8 @@ def mismatched_table(repeats: int = 5, changes=None) -> str:
 
 def main():
     jax.config.update("jax_enable_x64", True)
-    wanted = sys.argv[1:] or ["matched", "mismatched", "skew"]
-    tables = {"matched": matched_table, "mismatched": mismatched_table, "skew": skew_table}
-    for name, table in tables.items():
+    wanted = sys.argv[1:] or ["matched", "mismatched"]
+    for name, table in (("matched", matched_table), ("mismatched", mismatched_table)):
         if name in wanted:
             report = table()
             print(report)
