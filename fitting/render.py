@@ -115,7 +115,10 @@ def draw(
 
 def channels(found: oi.SceneFile, radiance: np.ndarray) -> np.ndarray:
     """Linear channel values (row, column, channel) of the file's camera."""
-    return radiance @ np.asarray(found.camera.response.weights(found.scene.wavelength)).T
+    light = oi.spectrum.daylight_table() if found.daylight else None
+    return (
+        radiance @ np.asarray(found.camera.response.smooth_weights(found.scene.wavelength, light)).T
+    )
 
 
 def display_matrix(response: oi.spectrum.Response) -> np.ndarray:

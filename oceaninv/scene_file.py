@@ -23,7 +23,8 @@ class SceneFile:
     """What a scene file describes.
 
     `scene`, `camera`, `sensor`: as their classes say.  `kd`: (wl,) the measured Kd of a water that
-    was given by one, for `KdTransport(kd)`; `None` otherwise.  `title`: text.
+    was given by one, for `KdTransport(kd)`; `None` otherwise.  `title`: text.  `daylight`: whether
+    all light is D65, whose fine structure `Response.smooth_weights` may use.
     """
 
     scene: Scene
@@ -31,6 +32,7 @@ class SceneFile:
     sensor: Sensor
     kd: np.ndarray | None
     title: str
+    daylight: bool
 
 
 def load_scene(path: str | Path, *, bands: int | None = None) -> SceneFile:
@@ -43,6 +45,7 @@ def load_scene(path: str | Path, *, bands: int | None = None) -> SceneFile:
     file = read(path)
     wavelength = _bands(file.section("bands"), bands)
     title = file.text("title", default=Path(path).stem)
+    day = file.section("light").text("spectrum", default="D65") == "D65"
     water, kd = read_water(file.section("water"), wavelength)
     light, azimuth = _light(file.section("light"), wavelength)
     surface = None
@@ -76,7 +79,7 @@ def load_scene(path: str | Path, *, bands: int | None = None) -> SceneFile:
         scene = Scene(water, light, surface, floor, objects, lamps)
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from None
-    return SceneFile(scene, camera, sensor, kd, title)
+    return SceneFile(scene, camera, sensor, kd, title, day and not lamps)
 
 
 def _bands(table: Section, count: int | None) -> np.ndarray:

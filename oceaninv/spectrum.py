@@ -94,6 +94,43 @@ class Response(Module):
         overlap = _hat_overlap(np.array(self.samples), tables.check_wavelength(wavelength))
         return _product(self.values, overlap)
 
+    def smooth_weights(
+        self, wavelength: tables.Wavelengths, light: tuple[ArrayLike, ArrayLike] | None = None
+    ) -> Float[Array, "channel wl"]:
+        """Weights like `weights`, for an L that is smooth in units of a light of fine structure.
+
+        L over the light is taken as the natural cubic spline through the bands, linear beyond the
+        first and last; the integral runs in steps of 0.5 nm to the outer band edges.  With 8 bands
+        of a picture in daylight this halves the error in colour
+        (`tests/acceptance/camera_bands.md`).
+        Weights may be negative: noise in single bands is not averaged down as by `weights`.
+
+        **Arguments:** `light`: (wavelengths in nm, values), linear in between; `None` is flat.
+        """
+        from scipy.interpolate import CubicSpline
+
+        bands = tables.check_wavelength(wavelength)
+        edges = band_edges(bands)
+        samples = np.array(self.samples)
+        low, high = max(edges[0], samples[0]), min(edges[-1], samples[-1])
+        if high <= low:
+            return _product(self.values, np.zeros((samples.size, bands.size)))
+        count = int(np.ceil((high - low) / 0.5))
+        step = (high - low) / count
+        at = low + step * (np.arange(count) + 0.5)
+        # A natural spline ends straight: without curvature beyond its last knots.
+        spline = CubicSpline(bands, np.eye(bands.size), bc_type="natural")
+        inner = np.clip(at, bands[0], bands[-1])
+        basis = spline(inner) + (at - inner)[:, None] * spline(inner, 1)
+        if light is not None:
+            fine, values = (np.asarray(v, dtype=float) for v in light)
+            at_bands = np.interp(bands, fine, values)
+            if np.any(at_bands <= 0):
+                raise ValueError("light must be positive at every band.")
+            basis = np.interp(at, fine, values)[:, None] * basis / at_bands
+        response = linear_interpolation_matrix(at, samples)
+        return _product(self.values, step * response.T @ basis)
+
     def outside(self, wavelength: tables.Wavelengths) -> Float[Array, " channel"]:
         """Share of the integral of each channel's response that lies beyond the outer band edges.
 
@@ -206,14 +243,20 @@ def daylight(wavelength: tables.Wavelengths) -> Float[np.ndarray, " wl"]:
     array([1.])
     """
     wavelength = tables.check_wavelength(wavelength)
-    table = _colour().SDS_ILLUMINANTS["D65"]
-    low, high = table.wavelengths[0], table.wavelengths[-1]
+    grid, values = daylight_table()
+    low, high = grid[0], grid[-1]
     if wavelength[0] < low or wavelength[-1] > high:
         raise ValueError(
             f"Daylight covers {low:g}-{high:g} nm, but the wavelengths run from"
             f" {wavelength[0]:g} to {wavelength[-1]:g} nm."
         )
-    return np.interp(wavelength, table.wavelengths, table.values) / 100.0
+    return np.interp(wavelength, grid, values)
+
+
+def daylight_table() -> tuple[Float[np.ndarray, " wl"], Float[np.ndarray, " wl"]]:
+    """Wavelengths (nm, by 5) and values of `daylight` as tabulated."""
+    table = _colour().SDS_ILLUMINANTS["D65"]
+    return np.asarray(table.wavelengths), np.asarray(table.values) / 100.0
 
 
 def to_srgb(xyz: ArrayLike) -> Float[np.ndarray, "*image 3"]:

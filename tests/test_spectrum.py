@@ -77,6 +77,30 @@ def test_a_spectrum_linear_between_bands_gives_the_same_on_any_finer_grid():
     np.testing.assert_allclose(fine_channels + missing, coarse_channels, rtol=1e-9)
 
 
+def test_smooth_weights():
+    """Exact for a straight line in units of the light; nearer to 1 nm than linear ones are."""
+    response = spectrum.camera_response("Nikon D850")
+    light = spectrum.daylight_table()
+    fine = np.arange(400.5, 700, 1.0)
+    for n in (8, 16):
+        bands = spectrum.bands(n)
+        line = spectrum.daylight(bands) * (2.0 - bands / 500.0)
+        exact = np.asarray(response.weights(fine)) @ (spectrum.daylight(fine) * (2 - fine / 500))
+        found = np.asarray(response.smooth_weights(bands, light)) @ line
+        np.testing.assert_allclose(found, exact, rtol=2e-4, atol=1e-4 * exact.max())
+        curve = lambda x: spectrum.daylight(x) * np.exp(-(((x - 480) / 60) ** 2))  # noqa: E731
+        exact = np.asarray(response.weights(fine)) @ curve(fine)
+        errors = [
+            np.max(np.abs(np.asarray(weights) @ curve(bands) - exact))
+            for weights in (response.smooth_weights(bands, light), response.weights(bands))
+        ]
+        assert errors[0] < 0.5 * errors[1]
+    flat = response.smooth_weights(fine)
+    np.testing.assert_allclose(flat, response.weights(fine), atol=2e-3)
+    with pytest.raises(ValueError, match="light must be positive"):
+        response.smooth_weights([450.0, 550.0], ([400.0, 700.0], [0.0, 0.0]))
+
+
 def test_share_outside_the_bands():
     at = np.arange(380.0005, 780.0, 0.001)
     whole = 0.001 * response_at(D850, at).sum(axis=1)

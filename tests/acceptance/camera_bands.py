@@ -65,17 +65,21 @@ def run() -> str:
         "waters, 400-650 nm, 60 lines of sight each; against 64 bands.  CIEDE2000, and root mean",
         "square of the channels as a share of the brightest.",
         "",
-        "| bands | dE median | dE 95th percentile | dE largest | rms, median camera |",
-        "|---|---|---|---|---|",
+        "| bands | weights | dE median | dE 95th percentile | dE largest | rms, median camera |",
+        "|---|---|---|---|---|---|",
     ]
-    for count in COUNTS:
-        coarse = radiances(count)
+    light = oi.spectrum.daylight_table()
+    drawn = {count: radiances(count) for count in COUNTS}
+    for count, smooth in [(n, s) for n in COUNTS for s in (False, True)]:
+        coarse = drawn[count]
         differences, rms = [], []
         for response in cameras:
             matrix = display_matrix(response)
-            weights = [
-                np.asarray(response.weights(oi.spectrum.bands(n, 400, 650))).T for n in (count, 64)
-            ]
+            few_grid = oi.spectrum.bands(count, 400, 650)
+            found = (
+                response.smooth_weights(few_grid, light) if smooth else response.weights(few_grid)
+            )
+            weights = [np.asarray(w).T for w in (found, response.smooth_weights(grid, light))]
             white = matrix @ (weights[1].T @ daylight) / np.pi
             for few, many in zip(coarse, fine, strict=True):
                 pair = [few @ weights[0], many @ weights[1]]
@@ -93,7 +97,9 @@ def run() -> str:
         d = np.concatenate(differences)
         row = (np.median(d), np.percentile(d, 95), np.max(d))
         lines.append(
-            f"| {count} | " + " | ".join(f"{v:.2f}" for v in row) + f" | {np.median(rms):.4f} |"
+            f"| {count} | {'smooth' if smooth else 'linear'} | "
+            + " | ".join(f"{v:.2f}" for v in row)
+            + f" | {np.median(rms):.4f} |"
         )
         print(lines[-1], flush=True)
     return "\n".join(lines) + "\n"

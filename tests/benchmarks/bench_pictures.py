@@ -31,14 +31,16 @@ WIDTH, HEIGHT = 1920, 1080
 
 
 def best(call, repeats=5):
-    """Seconds of the quickest of several runs, after one that compiles."""
+    """(wall, processor) seconds of the quickest of several runs, after one that compiles.
+
+    On a machine that others use, processor seconds over cores is what an idle one would take."""
     jax.block_until_ready(call())
     times = []
     for _ in range(repeats):
-        start = time.perf_counter()
+        start, work = time.perf_counter(), time.process_time()
         jax.block_until_ready(call())
-        times.append(time.perf_counter() - start)
-    return min(times)
+        times.append((time.perf_counter() - start, time.process_time() - work))
+    return np.min(times, axis=0)
 
 
 @numba.njit(parallel=True, fastmath=True)
@@ -106,19 +108,26 @@ def gradient_cost(size=256, bands=8):
     return best(lambda: plain(at), 3), best(lambda: slopes(at), 3)
 
 
+def shown(times) -> str:
+    """Wall and processor seconds as text."""
+    return f"{times[0]:.3f} s ({times[1]:.3f} processor s)"
+
+
 if __name__ == "__main__":
+    print(f"{os.cpu_count()} cores, load {os.getloadavg()[0]:.1f}")
     xla, by_hand, difference = printed_size()
-    print(f"printed-size term, 8 bands: XLA {xla:.3f} s, numba {by_hand:.3f} s"
-          f" (differ by {difference:.1e})")  # fmt: skip
+    print(f"printed-size term, 8 bands: XLA {shown(xla)}, numba {shown(by_hand)}, apart by"
+          f" {difference:.0e}")  # fmt: skip
     full = camera(WIDTH, HEIGHT)
     costs = []
     for bands in (4, 8, 16):
         shot = scene(bands)
-        costs.append((bands, best(lambda s=shot: oi.photograph(s, full).value, 3)))
-        print(f"two-stream picture, {bands} bands: {costs[-1][1]:.2f} s")
-    slope, start = np.polyfit(*np.array(costs).T, 1)
-    worst = max(abs(start + slope * n - t) / t for n, t in costs)
-    print(f"cost in bands: {start:.3f} s + n {slope:.4f} s, within {100 * worst:.0f} %")
+        costs.append((bands, *best(lambda s=shot: oi.photograph(s, full).value, 3)))
+        print(f"two-stream picture, {bands} bands: {shown(costs[-1][1:])}", flush=True)
+    counts, _, work = np.array(costs).T
+    slope, start = np.polyfit(counts, work, 1)
+    worst = np.max(np.abs(start + slope * counts - work) / work)
+    print(f"processor seconds: {start:.2f} + {slope:.3f} n, within {100 * worst:.0f} %")
     plain, slopes = gradient_cost()
-    print(f"256 x 256 photograph: {plain:.3f} s, with four derivatives {slopes:.3f} s"
-          f" = {slopes / plain:.1f} x")  # fmt: skip
+    print(f"256 x 256 photograph: {shown(plain)}, with four derivatives {shown(slopes)}:"
+          f" {slopes[1] / plain[1]:.1f} times")  # fmt: skip
