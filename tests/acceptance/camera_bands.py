@@ -1,6 +1,9 @@
 """How many bands a picture needs: colour differences over 28 cameras.
 
-    python -m tests.acceptance.camera_bands        (writes camera_bands.md beside this file)
+    python -m tests.acceptance.camera_bands [cameras.csv]     (writes camera_bands.md beside this)
+
+The committed table is of 28 of the 52 cameras of rawtoaces-data, in one csv; without it, of the
+cameras that come with the project.
 
 Spectra: the radiance that the two-stream rung sends along 60 lines of sight of all directions in
 the six waters and depths of Monzon et al. 2024, table 2 (floor, surface, sun and sky as in
@@ -10,7 +13,9 @@ between n bands and 64, at one exposure, in CIEDE2000 (Sharma, Wu & Dalal 2005, 
 colour-science).
 """
 
+import csv
 import dataclasses
+import sys
 import warnings
 from pathlib import Path
 
@@ -48,20 +53,35 @@ def radiances(bands: int) -> list[np.ndarray]:
     return results
 
 
+def responses():
+    """Names and responses of the measured cameras: 28 of a file's, evenly through its names, or
+    those that come with the project.  The file's columns: camera, wavelength_nm, R, G, B."""
+    if len(sys.argv) < 2:
+        names = list(oi.spectrum.camera_names())
+        return names, [oi.spectrum.camera_response(name) for name in names]
+    with open(sys.argv[1], encoding="utf-8") as file:
+        rows = list(csv.reader(line for line in file if not line.startswith("#")))[1:]
+    every = sorted({row[0] for row in rows})
+    names = [every[i] for i in np.linspace(0, len(every) - 1, CAMERAS).round().astype(int)]
+    found = []
+    for name in names:
+        table = np.array([row[1:5] for row in rows if row[0] == name], dtype=float).T
+        found.append(oi.spectrum.Response(table[1:] / table[2].max(), table[0], ("R", "G", "B")))
+    return names, found
+
+
 def run() -> str:
     """The table."""
     import colour
 
-    names = oi.spectrum.camera_names()
-    chosen = [names[i] for i in np.linspace(0, len(names) - 1, CAMERAS).round().astype(int)]
-    cameras = [oi.spectrum.camera_response(name) for name in chosen]
+    names, cameras = responses()
     fine = radiances(64)
     grid = oi.spectrum.bands(64, 400, 650)
     daylight = oi.spectrum.daylight(grid)
     lines = [
         "# How many bands a picture needs",
         "",
-        f"`python -m tests.acceptance.camera_bands`: {CAMERAS} of {len(names)} cameras, six",
+        f"`python -m tests.acceptance.camera_bands`: {len(names)} cameras, six",
         "waters, 400-650 nm, 60 lines of sight each; against 64 bands.  CIEDE2000, and root mean",
         "square of the channels as a share of the brightest.",
         "",
