@@ -142,10 +142,14 @@ class Shadows(AbstractTransport):
         sun = beam[None, :] * jnp.exp(-c_star[None, :] * depths[:, None] / mu0)
         place = jnp.clip((at[:, 2] - top) / (bottom - top), 0.0, 1.0) * (_DEPTHS - 1)
         diffuse = jnp.maximum(light.Ed.value - mu0 * sun, 0.0)
-        down, up, sun = (_between(v, place) for v in (diffuse, light.Eu.value, sun))
-        # Each hemisphere's light counts as uniform: a facet that leans sees a part of both.
+        scalar = jnp.maximum(light.E0.value - sun, 0.0)
+        fields = (diffuse, light.Eu.value, scalar, sun)
+        down, up, around, sun = (_between(v, place) for v in fields)
+        # A level facet takes plane irradiance; an upright one a quarter of the scalar irradiance,
+        # as of light that grows linearly with the cosine; between them a parabola.
         level = -hit.normal[:, 2:]
-        irradiance = down * (1.0 + level) / 2.0 + up * (1.0 - level) / 2.0
+        side = around / 4.0
+        irradiance = side + level * (down - up) / 2.0 + level**2 * ((down + up) / 2.0 - side)
         towards = _to_sun(scene)
         facing = hit.normal @ towards
         free = (facing > 0) & ~_blocked(scene, at, towards)
