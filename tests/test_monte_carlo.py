@@ -92,7 +92,7 @@ EXTREMES = {
 }
 
 
-@pytest.mark.parametrize("dtype", [jnp.float64, jnp.float32])
+@pytest.mark.parametrize("dtype", [jnp.float64, pytest.param(jnp.float32, marks=pytest.mark.slow)])
 def test_extremes_are_finite(dtype):
     """Value, stderr and every derivative, from optical thickness 1e-3 to 1e3."""
     for name, p in EXTREMES.items():
@@ -170,6 +170,7 @@ def test_chunks_do_not_matter(layered, monkeypatch):
     np.testing.assert_allclose(found.stderr, layered.stderr, rtol=1e-9)
 
 
+@pytest.mark.slow
 def test_frozen_walks_are_smooth_in_the_water():
     """Reverse mode is forward mode, and both are the differences of one set of walks."""
     p = A([0.065, 0.178, 0.8, 0.3])
@@ -183,6 +184,20 @@ def test_frozen_walks_are_smooth_in_the_water():
     np.testing.assert_allclose(reverse, forward, rtol=1e-10)
     differences = [(value(p + h) - value(p - h)) / 2e-5 for h in 1e-5 * np.eye(4)]
     np.testing.assert_allclose(forward, differences, rtol=1e-6)
+
+
+@pytest.mark.slow
+def test_frozen_walks_serve_other_waters():
+    """At b +-20 % and a +30 %: unbiased, worth most of their own walks; far away, a warning."""
+    p, rays = A([0.065, 0.178, 0.8, 0.3]), down()
+    frozen = oi.MonteCarlo(2**13, 32).frozen(nadir(p))
+    for factor in ([1.0, 1.2, 1.0, 1.0], [1.0, 0.8, 1.0, 1.0], [1.3, 1.0, 1.0, 1.0]):
+        scene = nadir(p * A(factor))
+        found = oi.radiance(scene, rays, frozen, key=jax.random.key(4))
+        within(found, oi.radiance(scene, rays, oi.PlaneParallel(32)).value)
+        assert (frozen.reuse(scene, rays, jax.random.key(4)) > 0.5).all()
+    with pytest.warns(UserWarning, match="freeze the transport again"):
+        frozen.reuse(nadir(p * A([0.05, 0.05, 1.0, 1.0])), rays, jax.random.key(4))
 
 
 @pytest.mark.parametrize(

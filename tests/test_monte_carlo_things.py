@@ -20,6 +20,7 @@ def water(b):
     return oi.IOPs(WAVELENGTH, A([0.05, 0.1]), A(b), HenyeyGreenstein(0.8))
 
 
+@pytest.mark.slow
 def test_a_wide_box_is_a_floor():
     """Scattering water under a surface and a sky: the exact radiance of the same floor."""
     light = oi.Light(30.0, ONE, 0.05 * ONE)

@@ -12,6 +12,7 @@ from oceaninv.transport._guard import fixed_rays, fixed_scene
 from oceaninv.transport._lights import arrivals
 from oceaninv.transport._paths import Proposal
 from oceaninv.transport._sampling import Vector
+from oceaninv.transport._shifted import shifted
 from oceaninv.transport._walks import GROUP, Plan, World
 from oceaninv.transport.base import Estimate
 
@@ -78,14 +79,15 @@ def radiance(
     lit = scene.floor is not None or scene.objects
     bounded = lit or scene.light.diffuse is not None
 
+    def each_lane(before, ahead, after, vertex):
+        found = _scattered(scene, world, before, after, vertex)
+        return found + _boundary(scene, world, before, ahead) if bounded else found
+
     def score(before, ahead, after, vertex, t):
         del t
-        found = jnp.sum(_scattered(scene, world, before, after, vertex), axis=1)
-        if bounded:
-            found += jnp.sum(_boundary(scene, world, before, ahead), axis=1)
-        return found
+        return jnp.sum(each_lane(before, ahead, after, vertex), axis=1)
 
-    def run(unit):
+    def stand(unit):
         ray = (unit // jnp.uint32(groups)).astype(jnp.int32)
         position, direction = (
             tuple(jnp.broadcast_to(v[ray, i][:, None], (len(unit), GROUP)) for i in range(3))
@@ -94,9 +96,17 @@ def radiance(
         limit = rays.length
         if limit is not None:
             limit = jnp.broadcast_to(limit[ray][:, None], (len(unit), GROUP))
-        lanes = _walks.standing(world.domain, position, direction, _walks.carried(scene), limit)
-        return _walks.walk(world, lanes, unit, plan, score, (len(unit), bands))
+        return _walks.standing(world.domain, position, direction, _walks.carried(scene), limit)
 
-    sums = _walks.in_chunks(run, count * groups)
-    sums = tuple(v.reshape(count, groups, bands).swapaxes(0, 1) for v in sums)
-    return _walks.estimate(sums, scene, plan.bounces)
+    def elastic(unit):
+        return _walks.walk(world, stand(unit), unit, plan, score, (len(unit), bands))
+
+    def inelastic(unit):
+        return shifted(scene, world, stand, each_lane, plan, unit)
+
+    found = []
+    for run in (elastic,) if scene.inelastic is None else (elastic, inelastic):
+        sums = _walks.in_chunks(run, count * groups)
+        sums = tuple(v.reshape(count, groups, bands).swapaxes(0, 1) for v in sums)
+        found.append(_walks.estimate(sums, scene, plan.bounces))
+    return _walks.summed(found)

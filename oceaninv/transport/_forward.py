@@ -107,11 +107,9 @@ def irradiance(
         found.append(_walks.estimate(own, scene, plan.bounces))
     beam = _beam(world, depths, cosine, sun)
     kinds = jnp.stack([cosine, jnp.zeros_like(cosine), jnp.ones_like(cosine)])
-    value = beam[:, None, :] * kinds[None, :, None]
-    for part in found:
-        value = value + part.value
-    variance = jnp.sum(jnp.stack([part.stderr**2 for part in found]), axis=0)
-    return Estimate(value, safe_sqrt(variance), jnp.sum(jnp.stack([p.bias for p in found]), axis=0))
+    found = _walks.summed(found)
+    value = found.value + beam[:, None, :] * kinds[None, :, None]
+    return Estimate(value, found.stderr, found.bias)
 
 
 def _beam(world: World, depths: Array, cosine: Array, sun: Array) -> Float[Array, "depth wl"]:

@@ -155,3 +155,15 @@ def estimate(sums: tuple[Array, Array], scene: Scene, bounces: int) -> Estimate:
     room = 1.0 - albedo
     bias = jnp.where(room > 0, last * albedo / jnp.where(room > 0, room, 1.0), jnp.nan)
     return Estimate(value, stderr, bias)
+
+
+def summed(parts: list[Estimate]) -> Estimate:
+    """The sum of independent estimates."""
+    if len(parts) == 1:
+        return parts[0]
+    variance = jnp.sum(jnp.stack([part.stderr**2 for part in parts]), axis=0)
+    value, bias = (
+        jnp.sum(jnp.stack([getattr(part, name) for part in parts]), axis=0)
+        for name in ("value", "bias")
+    )
+    return Estimate(value, safe_sqrt(variance), bias)

@@ -1,10 +1,12 @@
 """Monte Carlo: walks traced once, weighed at every wavelength."""
 
+import warnings
 from typing import ClassVar
 
 import equinox as eqx
 import jax
 import jax.core
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Key
 
@@ -48,6 +50,7 @@ class MonteCarlo(AbstractTransport):
     proposal: Proposal | None
 
     sees_things: ClassVar[bool] = True
+    inelastic: ClassVar[bool] = True
 
     def __init__(
         self,
@@ -70,6 +73,22 @@ class MonteCarlo(AbstractTransport):
         water around them changes.  It serves scenes with as many layers."""
         return MonteCarlo(self.paths, self.bounces, self.thin, propose(scene))
 
+    def reuse(self, scene: Scene, rays: Rays, key: Key[Array, ""]) -> Float[Array, "ray wl"]:
+        """Effective share of the walks: how many walks drawn for this scene itself would be worth
+        one of the frozen ones.  A warning below 0.3: freeze again, at the present water.  Takes
+        two estimates' time."""
+        fresh = MonteCarlo(self.paths, self.bounces, self.thin).radiance(scene, rays, key)
+        frozen = self.radiance(scene, rays, key)
+        safe = jnp.where(frozen.stderr > 0, frozen.stderr, 1.0)
+        share = jnp.where(frozen.stderr > 0, (fresh.stderr / safe) ** 2, 1.0)
+        if not isinstance(share, jax.core.Tracer) and float(jnp.min(share)) < 0.3:
+            warnings.warn(
+                f"a frozen walk is worth {float(jnp.min(share)):.2f} of one drawn for this water: "
+                "freeze the transport again nearer to it.",
+                stacklevel=2,
+            )
+        return share
+
     def radiance(self, scene: Scene, rays: Rays, key: Key[Array, ""] | None = None) -> Estimate:
         """See `oceaninv.radiance`; ValueError for an eye inside an object."""
         _check_outside(scene, rays)
@@ -83,6 +102,11 @@ class MonteCarlo(AbstractTransport):
             raise ValueError(
                 "irradiance at a depth is one number only in horizontally uniform light: ask for "
                 "radiance, or leave objects and lamps out of the scene."
+            )
+        if scene.inelastic is not None:
+            raise ValueError(
+                "MonteCarlo follows inelastic light to an eye, not to irradiances: ask for "
+                "radiance, take PlaneParallel, or leave inelastic out of the scene."
             )
         found = _forward.irradiance(scene, depths, _words(key), self.plan, self.proposal)
         return Irradiance(*(jax.tree.map(lambda leaf, i=i: leaf[:, i], found) for i in range(3)))

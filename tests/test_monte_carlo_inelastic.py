@@ -1,0 +1,82 @@
+"""MonteCarlo with inelastic light: reference fields of an isotropic Raman source."""
+
+import json
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import oceaninv as oi
+from oceaninv.inelastic import Inelastic, Raman, sources
+from oceaninv.phase import HenyeyGreenstein, Isotropic
+
+REFERENCE = Path(__file__).parents[1].parent / "shared" / "reference" / "radiative_transfer.json"
+WAVELENGTH = np.array([490.0, 590.0])
+A = jnp.asarray
+
+
+def raman_water(a, b, g):
+    """Light enters in the first band only; what is seen in the second is inelastic."""
+    water = oi.IOPs(WAVELENGTH, A(a), A([0.0, b]), HenyeyGreenstein(g))
+    light = oi.Light(0.0, A([1.0, 0.0]))
+    return oi.Scene(water, light, inelastic=Inelastic(raman=Raman()))
+
+
+def looking_down(depths):
+    depths = jnp.atleast_1d(A(depths))
+    origin = jnp.stack([0 * depths, 0 * depths, depths], axis=1)
+    return oi.Rays(origin, jnp.tile(A([[0.0, 0.0, 1.0]]), (len(depths), 1)))
+
+
+@pytest.fixture(scope="module")
+def isotropic():
+    """Raman light that spreads evenly, as the reference has it."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Raman, "phase", property(lambda self: Isotropic()))
+        jax.clear_caches()
+        yield
+    jax.clear_caches()
+
+
+@pytest.mark.skipif(not REFERENCE.exists(), reason="no reference fields here")
+@pytest.mark.parametrize("case", [0, 1])
+def test_reference_radiance(isotropic, case):
+    """Zenith sun, source b_R E0/(4 pi), seen through absorbing and through scattering water."""
+    exact = json.loads(REFERENCE.read_text())["inelastic"]["cases"][case]
+    scene = raman_water([exact["a_exc"], exact["a"]], exact["b"], exact["g"])
+    found = oi.radiance(
+        scene, looking_down(exact["z"]), oi.MonteCarlo(2**12, 16), key=jax.random.key(1)
+    )
+    matrix, _ = sources(scene.inelastic, scene.water)[0]
+    wanted = np.array(exact["Lu_nadir"]) * float(matrix[0, 1]) / exact["bR"]
+    z = np.asarray(found.value[:, 1] - wanted) / np.asarray(found.stderr[:, 1])
+    assert np.abs(z).max() < 3.3, z
+    assert (np.asarray(found.stderr[:, 1]) < 0.1 * wanted).all()
+
+
+def test_derivatives_are_those_of_the_closed_form(isotropic):
+    """L = b_R E0(z)/(4 pi (a' + a)): slopes in both absorptions, no elastic scattering."""
+    a = A([0.05, 0.25])
+
+    def value(a):
+        scene = raman_water(a, 0.0, 0.0)
+        return oi.radiance(
+            scene, looking_down(2.0), oi.MonteCarlo(2**12, 4), key=jax.random.key(2)
+        ).value[0, 1]
+
+    def closed(a):
+        scene = raman_water(A([0.05, 0.25]), 0.0, 0.0)
+        matrix = sources(scene.inelastic, scene.water)[0][0]
+        return matrix[0, 1] * jnp.exp(-2.0 * a[0]) / (4 * jnp.pi * (a[0] + a[1]))
+
+    np.testing.assert_allclose(value(a), closed(a), rtol=0.1)
+    np.testing.assert_allclose(jax.jacfwd(value)(a), jax.jacfwd(closed)(a), rtol=0.15)
+
+
+def test_irradiance_of_inelastic_light_is_refused():
+    with pytest.raises(ValueError, match="take PlaneParallel"):
+        oi.irradiance(
+            raman_water([0.05, 0.25], 0.1, 0.8), A([1.0]), oi.MonteCarlo(32), key=jax.random.key(0)
+        )
