@@ -39,7 +39,7 @@ def _crossing(world: World, depth: Array, before, ahead, weight):
     """Ed, Eu and E0 that walks bring to a depth ahead, (unit, 3, wl)."""
     z, steep = before.position[2], jnp.maximum(jnp.abs(before.direction[2]), 1e-6)
     slanted = jnp.where(steep < _GRAZING, 2.0 / _GRAZING, 1.0 / steep)
-    passes = jnp.where(ahead.up, depth < z, depth >= z)
+    passes = jnp.where(ahead.up, depth <= z, depth >= z)
     length = jnp.where(passes, jnp.abs(depth - z) / steep, 0.0)
     beyond = _paths.by_layer(world.domain, z, jnp.where(passes, depth, z), length)
     reaching = _weights.attenuated(world.medium, before, beyond)
