@@ -2,13 +2,16 @@
 
 from fitting.bulk import fit_bulk
 from fitting.contents import AbstractContents, Milk, NaturalWater, Populations
-from fitting.observations import Background, Bulk, Chart, Photo, Profile
+from fitting.observations import Background, Bulk, Chart, Photo, Pixels, Profile
 from fitting.parameters import Identity, Log, Logit, Parameter
-from fitting.photo import fit_photo
+from fitting.photo import design, fit_photo, fit_photos
+from fitting.photographs import Photograph, read_photograph, read_range
 from fitting.posterior import Fit, Quantity
 from fitting.profile import fit_profile
+from fitting.sampling import NUTS, joint_region, sample
 
 __all__ = [
+    "NUTS",
     "AbstractContents",
     "Background",
     "Bulk",
@@ -21,10 +24,18 @@ __all__ = [
     "NaturalWater",
     "Parameter",
     "Photo",
+    "Photograph",
+    "Pixels",
     "Populations",
     "Profile",
     "Quantity",
+    "design",
     "fit_bulk",
     "fit_photo",
+    "fit_photos",
     "fit_profile",
+    "joint_region",
+    "read_photograph",
+    "read_range",
+    "sample",
 ]

@@ -164,6 +164,7 @@ class Chart:
     - `sigma`: (patch, channel) standard deviations; `None` takes 1 % of the value.
     - `zenith`: direction of the line of sight, degrees; 90 (default) is horizontal, 180 down.
     - `name`: for reports.
+    - `distance_sd`: relative standard deviation of `distance`; 0 (default) takes it as exact.
     """
 
     values: np.ndarray
@@ -172,8 +173,18 @@ class Chart:
     sigma: np.ndarray
     zenith: float
     name: str
+    distance_sd: float
 
-    def __init__(self, values, reflectance, distance, sigma=None, zenith=90.0, name="chart"):
+    def __init__(
+        self,
+        values,
+        reflectance,
+        distance,
+        sigma=None,
+        zenith=90.0,
+        name="chart",
+        distance_sd: Any = 0.0,
+    ):
         values = _array("values", values, 2)
         reflectance = np.asarray(reflectance, dtype=np.float64)
         if reflectance.ndim not in (1, 2) or len(reflectance) != len(values):
@@ -185,9 +196,12 @@ class Chart:
             raise ValueError(f"reflectance of chart {name!r} must lie between 0 and 1.5.")
         if not (np.isfinite(distance) and distance > 0):
             raise ValueError(f"distance of chart {name!r} must be positive, not {distance}.")
+        if not 0 <= distance_sd < 1:
+            raise ValueError(f"distance_sd of {name!r} must lie in [0, 1), not {distance_sd}.")
         _set_readings(self, values, sigma, zenith, name)
         object.__setattr__(self, "reflectance", reflectance)
         object.__setattr__(self, "distance", float(distance))
+        object.__setattr__(self, "distance_sd", float(distance_sd))
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -223,6 +237,59 @@ def _set_readings(readings, values, sigma, zenith, name):
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
+class Pixels:
+    """Pixels of things of unknown reflectance at known ranges: reef, sand, rubble.
+
+    **Arguments:**
+
+    - `values`: (pixel, channel) linear camera values.
+    - `distance`: (pixel,) metres from the camera.
+    - `surfaces`: how many differently coloured surfaces they show.  Neighbouring pixels are of one
+      surface: a hundred thousand pixels of a reef are some hundreds of measurements.
+    - `zenith`: mean direction of the lines of sight, degrees.
+    - `sigma`: (pixel, channel); `None` takes 3 % of the value.
+
+    Missing and non-positive pixels are left out and counted in `masked`.
+    """
+
+    values: np.ndarray
+    distance: np.ndarray
+    surfaces: float
+    zenith: float
+    sigma: np.ndarray
+    masked: int
+
+    def __init__(self, values, distance, surfaces: Any = 200.0, zenith: Any = 90.0, sigma=None):
+        values, distance = _array("values", values, 2), _array("distance", distance, 1)
+        sigma = 0.03 * np.abs(values) if sigma is None else _array("sigma", sigma, 2)
+        if values.shape != (len(distance), 3) or sigma.shape != values.shape:
+            raise ValueError(
+                f"values and sigma of pixels must have shape ({len(distance)}, 3), one row per "
+                f"distance, not {values.shape} and {sigma.shape}."
+            )
+        if not surfaces >= 1:
+            raise ValueError(f"surfaces must be at least 1, not {surfaces}.")
+        if not 0 <= zenith <= 180:
+            raise ValueError(f"zenith of pixels must lie between 0 and 180 degrees, not {zenith}.")
+        usable = np.isfinite(distance) & (distance > 0)
+        usable &= np.all(np.isfinite(values) & (values > 0) & (sigma > 0), axis=1)
+        if usable.sum() < 16:
+            raise ValueError(
+                f"{int(usable.sum())} of {len(distance)} pixels have a range and three positive "
+                "values; at least 16 are needed."
+            )
+        for key, value in (
+            ("values", values[usable]),
+            ("distance", distance[usable]),
+            ("surfaces", float(min(surfaces, usable.sum()))),
+            ("zenith", float(zenith)),
+            ("sigma", sigma[usable]),
+            ("masked", int((~usable).sum())),
+        ):
+            object.__setattr__(self, key, value)
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
 class Photo:
     """One photograph: readings of charts and of open water by one camera at one depth.
 
@@ -230,6 +297,10 @@ class Photo:
 
     - `charts`: sequence of `Chart`.
     - `backgrounds`: sequence of `Background`.
+    - `pixels`: `Pixels` of unknown reflectance, or None.
+    - `exposure`: relative exposure (time x ISO / f-number^2, see `fitting.Photograph.exposure`).
+      Photographs that state it share the camera's gains, to `exposure_sd`; None leaves the gains
+      of the frame free.
     - `response`: the camera's spectral response (`oceaninv.spectrum.camera_response(name)`), or
       `None` for an unknown camera: the mean of 50 cameras with three free components.
     - `depth`: metres of the camera below the surface; charts are taken to hang at its depth plus
@@ -252,13 +323,19 @@ class Photo:
     azimuth: float
     source: str
     masked: int
+    pixels: Pixels | None
+    exposure: float | None
+    exposure_sd: float
 
     def __init__(
         self,
         charts=(),
         backgrounds=(),
+        pixels=None,
         *,
         depth,
+        exposure: Any = None,
+        exposure_sd: Any = 0.03,
         response=None,
         depth_sd=0.02,
         solar_zenith: Any = 40.0,
@@ -281,7 +358,11 @@ class Photo:
         readings = [item.values for item in charts + backgrounds]
         usable = sum(int(np.sum(np.isfinite(v) & (v > 0))) for v in readings)
         total = sum(v.size for v in readings)
-        if usable < 3:
+        if exposure is not None and not (exposure > 0 and exposure_sd > 0):
+            raise ValueError(
+                f"exposure and exposure_sd must be positive, not {exposure} and {exposure_sd}."
+            )
+        if usable < 3 and pixels is None:
             raise ValueError(
                 f"{usable} of {total} readings are usable (finite and positive); at least 3 are "
                 "needed: give charts, background water, or both."
@@ -295,7 +376,10 @@ class Photo:
             ("solar_zenith", float(solar_zenith)),
             ("azimuth", float(azimuth)),
             ("source", source),
-            ("masked", total - usable),
+            ("masked", total - usable + (0 if pixels is None else pixels.masked)),
+            ("pixels", pixels),
+            ("exposure", None if exposure is None else float(exposure)),
+            ("exposure_sd", float(exposure_sd)),
         ):
             object.__setattr__(self, key, value)
 

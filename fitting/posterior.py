@@ -26,16 +26,20 @@ _PRIOR_SHARE = 0.8
 class Quantity:
     """A derived quantity with its standard deviation, scalar or (wl,).
 
-    `sd` is of the natural logarithm (relative): optical coefficients are positive.
+    `sd` is of the natural logarithm (relative): optical coefficients are positive.  `samples`:
+    (draw, ...) values of a sampled posterior, whose quantiles are then the intervals.
     """
 
     value: np.ndarray
     sd: np.ndarray
     unit: str
     long_name: str
+    samples: np.ndarray | None = None
 
     def interval(self, level: float = 0.95, dof: float | None = None):
         """(low, high) that holds the truth with probability `level`."""
+        if self.samples is not None:
+            return tuple(np.quantile(self.samples, [0.5 - 0.5 * level, 0.5 + 0.5 * level], axis=0))
         reach = quantile(level, dof) * self.sd
         return self.value * np.exp(-reach), self.value * np.exp(reach)
 
@@ -77,6 +81,9 @@ class Fit:
     - `posterior_predictive`: observations beside predictions.
     - `dof`: degrees of freedom when the noise was estimated from the residuals, else None.
     - `metadata`: model, data, counts of masked values, notes.
+    - `problem`: the posterior itself, for `fitting.sample`; None where a fit keeps none.
+    - `samples`: (draw, unknown) coordinates drawn from the posterior, or None; intervals are
+      then their quantiles.
     """
 
     parameters: Parameters
@@ -89,6 +96,8 @@ class Fit:
     metadata: Mapping[str, Any]
     dof: float | None = None
     sensitivity: Mapping[str, Mapping[str, float]] = dataclasses.field(default_factory=dict)
+    problem: Any = dataclasses.field(default=None, repr=False)
+    samples: np.ndarray | None = dataclasses.field(default=None, repr=False)
 
     @property
     def value(self) -> dict[str, float]:
@@ -118,6 +127,10 @@ class Fit:
         """(low, high) that holds the parameter with probability `level`."""
         i = self.parameters.names.index(name)
         transform = self.parameters[i].transform
+        if self.samples is not None:
+            ends = np.quantile(self.samples[:, i], [0.5 - 0.5 * level, 0.5 + 0.5 * level])
+            low, high = (float(transform.physical(end)) for end in ends)
+            return low, high
         reach = quantile(level, self.dof) * np.sqrt(self.covariance[i, i])
         low, high = self.x[i] - reach, self.x[i] + reach
         return float(transform.physical(low)), float(transform.physical(high))
@@ -129,6 +142,17 @@ class Fit:
             p.name: _identifiable(p, sd)
             for p, sd in zip(self.parameters, self.sd.values(), strict=True)
         }
+
+    @property
+    def wide(self) -> bool:
+        """Whether some asked-for number is so uncertain that the ellipsoid may mislead.
+
+        `fitting.sample` then gives honest intervals and joint regions.
+        """
+        scalars = [float(q.sd) for q in self.quantities.values() if q.value.ndim == 0]
+        asked = [sd for p, sd in zip(self.parameters, self.sd.values(), strict=True)
+                 if not p.nuisance]  # fmt: skip
+        return max([*scalars, *asked], default=0.0) > _UNKNOWN_SD
 
     def to_xarray(self) -> "xarray.Dataset":
         """Everything as a CF-style dataset; see `fitting.report.dataset`."""

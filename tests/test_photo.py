@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import oceaninv as oi
-from fitting import Background, Chart, Parameter, Photo, fit_photo
+from fitting import Background, Chart, Parameter, Photo, Pixels, design, fit_photo, fit_photos
 from fitting.photo import WAVELENGTH, photo_residual, predict, prepare
 from fitting.solve import cross_check
 
@@ -220,3 +220,89 @@ def test_fitting_touches_no_configuration():
     before = jax.config.values.copy()
     fit_photo(photo(clean()))
     assert jax.config.values == before
+
+
+@pytest.mark.slow
+def test_an_ancillary_value_is_an_observation():
+    """A known parameter or quantity pulls as one more reading: precisions add."""
+    free = fitted()
+    known = fit_photo(photo(clean()), know={"c_550": (float(free.quantities["c_550"].value), 0.01)})
+    sd, stated = float(free.quantities["c_550"].sd), 0.01 / float(free.quantities["c_550"].value)
+    assert float(known.quantities["c_550"].sd) == pytest.approx(
+        1 / np.hypot(1 / sd, 1 / stated), rel=0.02
+    )
+    with pytest.raises(ValueError, match=r"'c_55'.*c_550"):
+        fit_photo(photo(clean()), know={"c_55": (0.3, 0.01)})
+    with pytest.raises(ValueError, match="both must be positive"):
+        fit_photo(photo(clean()), know={"cdom": (0.1, 0.0)})
+
+
+@pytest.mark.slow
+def test_a_stray_patch_moves_a_robust_fit_less():
+    values = clean().copy()
+    values[1] *= 1.3
+    away = {}
+    for limit in (None, 2.0):
+        fit = fit_photo(photo(values), robust=limit)
+        away[limit] = abs(
+            np.log(fit.quantities["c_550"].value / fitted().quantities["c_550"].value)
+        )
+    assert away[2.0] < 0.4 * away[None]
+
+
+@pytest.mark.slow
+def test_a_plan_expects_what_the_fit_of_its_readings_states():
+    """The uncertainty expected at the truth is that of the fit of clean readings of that truth."""
+    truth = {n: fitted().value[n] for n in fitted().value if not n.startswith("gain")}
+    planned = design(photo(), truth, noise=0.01)
+    for name in ("c_550", "Kd_490", "bb_550"):
+        assert planned.quantities[name].sd == pytest.approx(fitted().quantities[name].sd, rel=0.02)
+    assert planned.sd["detritus"] == pytest.approx(fitted().sd["detritus"], rel=0.02)
+    with pytest.raises(ValueError, match=r"'cdm'.*cdom"):
+        design(photo(), {"cdm": 0.1})
+
+
+@pytest.mark.slow
+def test_a_batch_is_its_fits():
+    frames = [photo(clean()), photo(clean() * 1.02)]
+    both = fit_photos(frames)
+    for frame, one in zip(frames, both, strict=True):
+        alone = fit_photo(frame)
+        assert np.max(np.abs(one.x - alone.x) / np.sqrt(np.diag(alone.covariance))) < 0.01
+    with pytest.raises(ValueError, match="photograph 1 differs"):
+        fit_photos([frames[0], Photo(frames[0].charts, depth=5.0)])
+
+
+def scenery(count, seed=0):
+    """Pixels of a reef at 1-6 m in the true water, reflectances from the fit's own prior."""
+    from fitting._photo_model import _ALBEDO, _BASIS, ALBEDO_TERMS
+
+    rng = np.random.default_rng(seed)
+    sun = jnp.asarray(oi.spectrum.daylight(WAVELENGTH))
+    model = water(WAVELENGTH)
+    scene = oi.Scene(model, oi.Light(40.0, sun), oi.FlatSurface())
+    spacing = np.linspace(1.0, 6.0, 12)
+    distance = np.repeat(spacing, -(-count // 12))[:count]
+    across = np.tile([[0.0, 1.0, -6e-17]], (12, 1))
+    veil = oi.radiance(scene, oi.Rays(np.array([0.0, 0.0, 5.0]), across, spacing)).value
+    lit = np.asarray(oi.irradiance(scene, [5.0]).Ed.value)[0] / np.pi
+    which = np.searchsorted(spacing, distance)
+    albedo = _ALBEDO + rng.standard_normal((count, ALBEDO_TERMS)) @ _BASIS.T
+    arriving = lit * np.exp(-np.asarray(model.c)[None] * distance[:, None])
+    weights = np.asarray(oi.spectrum.camera_response(CAMERA).weights(WAVELENGTH))
+    values = (albedo * arriving + np.asarray(veil)[which]) @ weights.T
+    return np.maximum(values * (1 + 0.03 * rng.standard_normal(values.shape)), 1e-6), distance
+
+
+@pytest.mark.slow
+def test_pixels_of_unknown_reflectance_measure_attenuation():
+    """1500 surfaces in 3000 pixels: c within its interval, far better known than a priori."""
+    values, distance = scenery(3000)
+    frame = Photo((), (), Pixels(values, distance, 1500.0), depth=5.0,
+                  response=oi.spectrum.camera_response(CAMERA))  # fmt: skip
+    fit = fit_photo(frame)
+    assert fit.converged
+    exact = water(np.array([550.0]))
+    low, high = fit.quantities["c_550"].interval(0.99)
+    assert low < float(exact.c[0]) < high
+    assert fit.quantities["c_550"].sd < 0.2

@@ -27,7 +27,7 @@ from scipy.stats import binom
 import oceaninv as oi
 from fitting import Background, Chart, Photo
 from fitting.parameters import Prior
-from fitting.photo import WAVELENGTH, predict, prepare, search
+from fitting.photo import WAVELENGTH, PhotoProblem, predict, prepare, search
 from fitting.posterior import quantile
 from fitting.quantities import water_quantities
 from fitting.solve import covariance, value_and_jacobian
@@ -90,7 +90,8 @@ def programs():
             (jnp.where(mask, seen, 1.0), jnp.where(mask, NOISE * seen, 1.0), mask),
         )
         prior = Prior(centre, weight, scale)
-        optimum = search(layout, prior, (here,), transport, sunlight, start)
+        problem = PhotoProblem(layout, prior, (here,), transport, sunlight)
+        optimum = search(problem, start)
         chi2 = jnp.sum(optimum.residual**2) / seen.size
         return optimum.x, optimum.code, covariance(optimum.jacobian), chi2
 

@@ -1,0 +1,218 @@
+"""The posterior of photographs of one water: unknowns, priors, residuals, search."""
+
+from collections.abc import Sequence
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+import oceaninv as oi
+from fitting._photo_model import (
+    ALBEDO_TERMS,
+    WAVELENGTH,
+    Readings,
+    light_up,
+    pixel_residual,
+    predict_lit,
+    predict_pixels,
+    readings_of,
+)
+from fitting.observations import Photo
+from fitting.parameters import (
+    Identity,
+    Log,
+    Parameter,
+    Parameters,
+    Prior,
+    constituents,
+    shape_nuisances,
+)
+from fitting.quantities import UNITS, water_quantities
+from fitting.sampling import AbstractProblem
+from fitting.solve import Optimum, least_squares
+from oceaninv.transport.base import AbstractTransport
+
+
+class PhotoProblem(AbstractProblem):
+    """The posterior of photographs of one water.
+
+    - `known`: names of ancillary values; `known_values`: their (ln value, relative sd).
+    - `robust`: residuals beyond so many standard deviations count linearly, None: all squared.
+    """
+
+    layout: Parameters = eqx.field(static=True)
+    prior: Prior
+    readings: tuple[Readings, ...]
+    transport: AbstractTransport
+    sunlight: Float[Array, " wl"]
+    known: tuple[str, ...] = eqx.field(static=True, default=())
+    known_values: Float[Array, "known 2"] | None = None
+    robust: Float[Array, ""] | None = None
+
+    def residual(self, x: Float[Array, " unknown"]) -> Float[Array, " residual"]:
+        """Readings, pixels, ancillary values and priors, each in standard deviations."""
+        values = self.layout.values(x)
+        data, scenery = [], []
+        for p, one in enumerate(self.readings):
+            lit = light_up(values, one, self.sunlight, p)
+            seen = predict_lit(lit, values, one, self.transport, p)
+            off = jnp.where(one.mask, (one.values - seen) / one.sigma, 0.0).reshape(-1)
+            data.append(off if self.robust is None else _robust(off, self.robust))
+            if one.pixels is not None:
+                scenery.append(pixel_residual(lit, values, one.pixels, self.transport, p))
+        if self.known_values is not None:
+            scenery.append(self._ancillary(values, self.known_values))
+        return jnp.concatenate([*data, *scenery, self.prior.residual(x)])
+
+    def _ancillary(self, values, known):
+        found = dict(values)
+        if any(name in UNITS for name in self.known):
+            found |= water_quantities(values, WAVELENGTH, self.transport)
+        logs = jnp.log(jnp.stack([found[name] for name in self.known]))
+        return (logs - known[:, 0]) / known[:, 1]
+
+    def quantities(self, x: Float[Array, " unknown"]) -> dict[str, Array]:
+        """Kd, c, bb, a_cdm; see `fitting.quantities.UNITS`."""
+        return water_quantities(self.layout.values(x), WAVELENGTH, self.transport)
+
+
+def _robust(residual, limit):
+    """Signed square roots of twice the pseudo-Huber loss: r near 0, growing like sqrt beyond."""
+    excess = residual / limit
+    # loss = 2 limit^2 (sqrt(1 + e^2) - 1), written without cancellation; its root is smooth in r.
+    return residual * jnp.sqrt(2.0 / (jnp.sqrt(1.0 + excess * excess) + 1.0))
+
+
+def _unknowns(photos: Sequence[Photo], matrix: bool) -> Parameters:
+    sun = float(np.mean([photo.solar_zenith for photo in photos]))
+    unknowns = [
+        *constituents(),
+        *shape_nuisances(),
+        Parameter("solar_zenith", max(sun, 1.0), 0.1, Log(), "degree", True),
+        Parameter("sunlight_tilt", 0.0, 0.05, Identity(), "1", True),
+        # What the closed form gets wrong in Kd.
+        Parameter("closure", 0.0, 0.02, Identity(), "1", True),
+        # The error of the closed-form path radiance, per channel.
+        *(Parameter(f"veil_{c}", 1.0, 0.06, nuisance=True) for c in "RGB"),
+        # Bodies of one model, filters and ports differ by a few nanometres.
+        Parameter("response_shift", 0.0, 2.0, Identity(), "nm", True),
+    ]
+    if any(photo.response is None for photo in photos):
+        unknowns += [
+            Parameter(f"response_{i}", 0.0, 1.0, Identity(), nuisance=True) for i in (1, 2, 3)
+        ]
+    if matrix:
+        unknowns += [
+            Parameter(f"mix_{i}{j}", 0.0, 0.3, Identity(), nuisance=True)
+            for i in "RGB"
+            for j in "RGB"
+            if i != j
+        ]
+    if any(photo.exposure is not None for photo in photos):
+        unknowns += [Parameter(f"gain_{c}", 1.0, None, nuisance=True) for c in "RGB"]
+    for p, photo in enumerate(photos):
+        unknowns += _of_frame(p, photo)
+    return Parameters(unknowns)
+
+
+def _of_frame(p: int, photo: Photo) -> list[Parameter]:
+    found = [Parameter(f"depth_{p}", photo.depth, photo.depth_sd, Log(), "m", nuisance=True)]
+    if photo.exposure is None:
+        found += [Parameter(f"gain_{p}_{c}", 1.0, None, nuisance=True) for c in "RGB"]
+    else:
+        found.append(Parameter(f"exposure_{p}", 1.0, photo.exposure_sd, nuisance=True))
+    for k, chart in enumerate(photo.charts):
+        found.append(Parameter(f"chart_{p}_{k}", 1.0, 1.0, nuisance=True))
+        if chart.distance_sd > 0:
+            found.append(Parameter(f"range_{p}_{k}", 1.0, chart.distance_sd, nuisance=True))
+    if photo.pixels is not None:
+        found += [
+            Parameter(f"albedo_{p}_{k}", 0.0, 1.0, Identity(), nuisance=True)
+            for k in range(ALBEDO_TERMS)
+        ]
+    return found
+
+
+@eqx.filter_jit
+def predict_all(layout, readings, transport, sunlight, x):
+    """Readings of every photograph, and the means of its pixel classes (or None)."""
+    values = layout.values(x)
+    found = []
+    for p, one in enumerate(readings):
+        lit = light_up(values, one, sunlight, p)
+        pixels = None
+        if one.pixels is not None:
+            pixels = predict_pixels(lit, values, one.pixels, transport, p)[0]
+        found.append((predict_lit(lit, values, one, transport, p), pixels))
+    return tuple(found)
+
+
+def _start_gains(parameters: Parameters, readings, transport, sunlight) -> Parameters:
+    """Centre the gains where the model at the priors' centres is as bright as the readings."""
+    centre = parameters.prior().centre
+    at_centre = predict_all(parameters.layout(), readings, transport, sunlight, centre)
+    changes, shared = {}, []
+    for p, (one, (model, pixels)) in enumerate(zip(readings, at_centre, strict=True)):
+        ratio = np.where(np.asarray(one.mask), np.asarray(one.values) / np.asarray(model), np.nan)
+        if pixels is not None:
+            ratio = np.concatenate([ratio, np.asarray(one.pixels.mean) / np.asarray(pixels)])
+        for i, c in enumerate("RGB"):
+            column = ratio[:, i]
+            if np.all(np.isnan(column)):
+                raise ValueError(f"photograph {p} has no usable reading in channel {c}.")
+            if one.exposure is None:
+                name = f"gain_{p}_{c}"
+                changes[name] = Parameter(name, float(np.nanmedian(column)), None, nuisance=True)
+        if one.exposure is not None:
+            shared.append(ratio)
+    if shared:
+        for c, column in zip("RGB", np.concatenate(shared).T, strict=True):
+            name = f"gain_{c}"
+            changes[name] = Parameter(name, float(np.nanmedian(column)), None, nuisance=True)
+    return parameters.replace(changes)
+
+
+def photo_residual(parameters: Parameters, readings, transport, sunlight, prior=None):
+    """The function of (x, values of each photograph) whose square a photo fit minimises.
+
+    `prior`: the numbers of the priors; those of `parameters` unless given.
+    """
+    prior = parameters.prior() if prior is None else prior
+
+    def residual(x, observed):
+        here = eqx.tree_at(lambda all_: [one.values for one in all_], readings, list(observed))
+        return PhotoProblem(parameters.layout(), prior, here, transport, sunlight).residual(x)
+
+    return residual
+
+
+def search(problem: PhotoProblem, start: Float[Array, " unknown"]) -> Optimum:
+    """The optimum of a photo fit.  Pure: jit and vmap it.
+
+    Searches first as if the readings were ten times as uncertain: from the priors' centres, exact
+    readings can drive the first steps into opaque water, from where nothing leads back.
+    """
+
+    def stage(x, widen):
+        blurred = eqx.tree_at(
+            lambda p: [one.sigma for one in p.readings],
+            problem,
+            [widen * one.sigma for one in problem.readings],
+        )
+        optimum = least_squares(lambda x, _: blurred.residual(x), x, None, problem.prior.scale)
+        return optimum.x, optimum
+
+    _, stages = jax.lax.scan(stage, start, jnp.asarray([10.0, 1.0], start.dtype))
+    return jax.tree.map(lambda leaf: leaf[-1], stages)
+
+
+def prepare(photos: Sequence[Photo], transport, priors=None, matrix: bool = False, sunlight=None):
+    """Unknowns, readings and sunlight of a photo fit: what a `PhotoProblem` is made of."""
+    if sunlight is None:
+        sunlight = oi.spectrum.daylight(WAVELENGTH)
+    sunlight = jnp.asarray(sunlight, dtype=float)
+    readings = tuple(readings_of(photo) for photo in photos)
+    parameters = _unknowns(photos, matrix).replace(priors or {})
+    return _start_gains(parameters, readings, transport, sunlight), readings, sunlight

@@ -1,0 +1,179 @@
+"""Photographs and range maps: what is read, and a sentence for all that is not."""
+
+import struct
+
+import numpy as np
+import OpenImageIO as oiio
+import pytest
+
+from fitting import read_photograph, read_range
+
+RNG = np.random.default_rng(4)
+IMAGE = RNG.uniform(0.05, 0.9, (12, 16, 3))
+RANGE = RNG.uniform(1.0, 9.0, (12, 16))
+
+
+def write(path, values, kind, **attributes):
+    values = np.asarray(values)
+    values = values[:, :, None] if values.ndim == 2 else values
+    spec = oiio.ImageSpec(values.shape[1], values.shape[0], values.shape[2], kind)
+    for name, value in attributes.items():
+        spec.attribute(name, value)
+    out = oiio.ImageOutput.create(str(path))
+    assert out.open(str(path), spec)
+    assert out.write_image(np.ascontiguousarray(values, dtype=np.float32))
+    out.close()
+    return path
+
+
+@pytest.mark.parametrize(
+    ("name", "kind", "step"),
+    [
+        ("a.exr", "float", 1e-6),
+        ("half.exr", "half", 1e-3),
+        ("ein Bild – ünder water.png", "uint16", 1 / 65535),
+        ("a.tif", "uint16", 1 / 65535),
+    ],
+)
+def test_linear_files_come_back_as_written(tmp_path, name, kind, step):
+    photo = read_photograph(write(tmp_path / name, IMAGE, kind))
+    np.testing.assert_allclose(photo.values, IMAGE, atol=step)
+    assert photo.mask.all()
+    assert photo.relative == 0
+    assert photo.step == pytest.approx(0 if name.endswith("exr") else step / np.sqrt(12))
+
+
+def test_eight_bits_and_jpeg_must_be_told(tmp_path):
+    png = write(tmp_path / "a.png", IMAGE, "uint8")
+    with pytest.raises(ValueError, match='8 bits: say encoding="linear"'):
+        read_photograph(png)
+    np.testing.assert_allclose(read_photograph(png, "linear").values, IMAGE, atol=1 / 500)
+    curve = np.where(IMAGE <= 0.0031308, 12.92 * IMAGE, 1.055 * IMAGE ** (1 / 2.4) - 0.055)
+    jpeg = write(tmp_path / "a.jpg", np.repeat(np.repeat(curve, 16, 0), 16, 1), "uint8")
+    for encoding in (None, "linear"):
+        with pytest.raises(ValueError, match="JPEG is not linear"):
+            read_photograph(jpeg, encoding)
+    photo = read_photograph(jpeg, "sRGB")
+    assert photo.relative == 0.05
+    block = photo.values.reshape(12, 16, 16, 16, 3).mean(axis=(1, 3))
+    assert np.median(np.abs(block - IMAGE)) < 0.02
+    with pytest.raises(ValueError, match="'gamma'"):
+        read_photograph(png, "gamma")
+
+
+def test_the_mask_leaves_out_what_is_no_measurement(tmp_path):
+    image = IMAGE.copy()
+    image[0, 0], image[1, 1, 2], image[2, 2, 1] = 1.0, 0.0, np.nan
+    photo = read_photograph(write(tmp_path / "a.exr", image, "float"))
+    # A float file has no full scale.
+    assert (~photo.mask).sum() == 2
+    photo = read_photograph(write(tmp_path / "a.png", np.nan_to_num(image), "uint16"))
+    assert (~photo.mask).sum() == 5
+
+
+def test_exif_gives_exposure_and_flash(tmp_path):
+    stated = {"ExposureTime": 0.005, "FNumber": 8.0, "Exif:Flash": 1}
+    stated["Exif:PhotographicSensitivity"] = 200
+    photo = read_photograph(write(tmp_path / "a.tif", IMAGE, "uint16", **stated))
+    assert photo.flash
+    assert photo.exposure == pytest.approx(0.005 * 2 / 64, rel=1e-3)
+    assert read_photograph(write(tmp_path / "b.exr", IMAGE, "half")).exposure is None
+
+
+def broken(tmp_path, name):
+    path = tmp_path / name
+    whole = write(tmp_path / "whole.png", np.tile(IMAGE, (20, 20, 1)), "uint16").read_bytes()
+    if name == "cut.png":
+        path.write_bytes(whole[: len(whole) // 2])
+    elif name == "empty.png":
+        path.write_bytes(b"")
+    elif name == "text.png":
+        path.write_text("no picture")
+    elif name == "text.nef":
+        path.write_text("no raw file")
+    elif name == "one.png":
+        write(path, IMAGE[:1, :1], "uint16")
+    elif name == "grey.png":
+        write(path, IMAGE[:, :, :1], "uint16")
+    elif name == "five.tif":
+        write(path, np.tile(IMAGE, 2)[:, :, :5], "uint16")
+    elif name == "black.png":
+        write(path, 0 * IMAGE, "uint16")
+    elif name == "white.png":
+        write(path, 0 * IMAGE + 1, "uint16")
+    elif name == "huge.png":
+        # Its header alone claims 10000 x 10000.
+        at = whole.index(b"IHDR") + 4
+        claim = whole[at - 4 : at] + struct.pack(">II", 10000, 10000) + whole[at + 8 : at + 13]
+        import zlib
+
+        path.write_bytes(whole[: at - 4] + claim + struct.pack(">I", zlib.crc32(claim))
+                         + whole[at + 17 :])  # fmt: skip
+    return path
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("missing.png", "does not exist"),
+        ("empty.png", "is empty"),
+        ("text.png", "cannot be read"),
+        ("text.nef", "cannot be read as a raw file"),
+        ("cut.png", "damaged or cut short"),
+        ("one.png", "1 x 1 pixels"),
+        ("grey.png", r"has 1 channel"),
+        ("five.tif", r"has 5 channel"),
+        ("black.png", "is black"),
+        ("white.png", "clipped everywhere"),
+        ("huge.png", "10000 x 10000 pixels"),
+    ],
+)
+def test_hostile_files_are_a_sentence(tmp_path, name, words):
+    if name.endswith("nef"):
+        pytest.importorskip("rawpy")
+    with pytest.raises(ValueError, match=words):
+        read_photograph(broken(tmp_path, name))
+
+
+def save_range(tmp_path, name):
+    path = tmp_path / name
+    if name.endswith("npz"):
+        np.savez(path, depth=RANGE)
+    elif name.endswith("bin"):
+        path.write_bytes(b"16&12&1&" + RANGE.T.astype("<f4").tobytes(order="F"))
+    elif name.endswith("mm.tif"):
+        write(path, RANGE / 65.535, "uint16")
+    else:
+        write(path, RANGE, "half" if "half" in name else "float")
+    return path
+
+
+@pytest.mark.parametrize(
+    ("name", "error"),
+    [("r.exr", 1e-6), ("half.exr", 4e-3), ("r.tif", 1e-6), ("mm.tif", 6e-4), ("half.tif", 4e-3),
+     ("r.npz", 0), ("r.bin", 1e-6)],
+)  # fmt: skip
+def test_range_maps_in_every_form(tmp_path, name, error):
+    found = read_range(save_range(tmp_path, name), (12, 16))
+    np.testing.assert_allclose(found, RANGE, atol=error, rtol=0)
+
+
+def test_ranges_of_another_size_and_missing_ones(tmp_path):
+    values = np.repeat(np.arange(1.0, 101.0)[:, None], 100, axis=1)
+    values[:5], values[5, 0], values[6, 0], values[7, 0] = 0.0, np.nan, np.inf, -1.0
+    path = tmp_path / "r.npz"
+    np.savez(path, values)
+    found = read_range(path, (102, 101))
+    assert found.shape == (102, 101)
+    assert np.isnan(found[:5]).all()
+    assert np.isnan(found[6:8, 0]).all()
+    assert np.nanmax(np.abs(found[10:, 50] - np.arange(10.5, 102) * 100 / 102)) < 1.1
+    with pytest.raises(ValueError, match="another shape"):
+        read_range(path, (100, 150))
+    np.savez(path, values * np.nan)
+    with pytest.raises(ValueError, match="holds no range"):
+        read_range(path, (100, 100))
+    bad = tmp_path / "r.bin"
+    bad.write_bytes(b"16&12&1&1234")
+    with pytest.raises(ValueError, match="cut short"):
+        read_range(bad, (12, 16))
