@@ -8,6 +8,7 @@ from fitting.photo import design, fit_photo, fit_photos
 from fitting.photographs import Photograph, read_photograph, read_range
 from fitting.posterior import Fit, Quantity
 from fitting.profile import fit_profile
+from fitting.profiles import ProfileFits, fit_profiles
 from fitting.sampling import NUTS, joint_region, sample
 
 __all__ = [
@@ -28,12 +29,14 @@ __all__ = [
     "Pixels",
     "Populations",
     "Profile",
+    "ProfileFits",
     "Quantity",
     "design",
     "fit_bulk",
     "fit_photo",
     "fit_photos",
     "fit_profile",
+    "fit_profiles",
     "joint_region",
     "read_photograph",
     "read_range",

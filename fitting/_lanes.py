@@ -1,6 +1,7 @@
 """Casts to lanes and back: windows, padding to shared shapes, chunks of one size."""
 
 import dataclasses
+import functools
 from collections.abc import Sequence
 
 import jax
@@ -67,7 +68,7 @@ class Job:
         """What decides which program fits it: depths, whether errors are given, interfaces."""
         return padded(self.rows), self.profile.sigma is not None, len(self.interfaces)
 
-    @property
+    @functools.cached_property
     def rows(self) -> int:
         """Rows down to the deepest sample used."""
         return int(np.flatnonzero(self.mask.any(axis=1))[-1]) + 1
@@ -121,30 +122,28 @@ def fit_lanes(jobs: Sequence[Job]) -> list[BandFit]:
     """
     if len(jobs) == 1:
         return [_numpy(fit_bands(lanes_of(jobs)))]
+    shapes = [job.shape for job in jobs]
+    bands = [len(job.profile.wavelength) for job in jobs]
     fits: dict[int, BandFit] = {}
-    order = sorted(range(len(jobs)), key=lambda i: jobs[i].shape)
-    group: list[int] = []
 
-    def run():
-        done = _numpy(fit_bands(_spread(lanes_of([jobs[i] for i in group], _lanes_for(group)))))
+    def run(group: list[int]) -> None:
+        total = CHUNK * -(-sum(bands[i] for i in group) // CHUNK)
+        done = _numpy(fit_bands(_spread(lanes_of([jobs[i] for i in group], total))))
         at = 0
         for i in group:
-            to = slice(at, at + len(jobs[i].profile.wavelength))
+            to = slice(at, at + bands[i])
             fits[i] = jax.tree.map(lambda array, to=to: array[to], done)
             at = to.stop
 
-    def bands(members):
-        return sum(len(jobs[i].profile.wavelength) for i in members)
-
-    def _lanes_for(members):
-        return CHUNK * -(-bands(members) // CHUNK)
-
-    for i in order:
-        if group and (jobs[i].shape != jobs[group[0]].shape or bands([*group, i]) > CHUNK):
-            run()
-            group.clear()
+    group: list[int] = []
+    filled_lanes = 0
+    for i in sorted(range(len(jobs)), key=lambda i: shapes[i]):
+        if group and (shapes[i] != shapes[group[0]] or filled_lanes + bands[i] > CHUNK):
+            run(group)
+            group, filled_lanes = [], 0
         group.append(i)
-    run()
+        filled_lanes += bands[i]
+    run(group)
     return [fits[i] for i in range(len(jobs))]
 
 

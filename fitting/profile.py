@@ -140,13 +140,17 @@ def _kd_parameters(wavelength: np.ndarray, x: np.ndarray) -> Parameters:
     )
 
 
-def _mean_kd(profile, mask, x, cov, interfaces) -> Quantity:
+def mean_kd(job: Job, x: np.ndarray, cov: np.ndarray) -> Quantity:
     """Kd from the shallowest to the deepest sample used, the mean over layers by thickness."""
-    path = thickness(profile.depth, interfaces)
-    reach = np.array([path[m][-1] - path[m][0] for m in mask.T])
-    parts = reach * np.exp(x[:, 1:])
-    mean = parts.sum(axis=1) / reach.sum(axis=1)
-    share = parts / parts.sum(axis=1, keepdims=True)
+    kd = np.exp(x[:, 1:])
+    if kd.shape[1] == 1:
+        mean, share = kd[:, 0], np.ones_like(kd)
+    else:
+        path = thickness(job.profile.depth, job.interfaces)
+        reach = np.array([path[m][-1] - path[m][0] for m in job.mask.T])
+        parts = reach * kd
+        mean = parts.sum(axis=1) / reach.sum(axis=1)
+        share = parts / parts.sum(axis=1, keepdims=True)
     variance = np.einsum("wi,wij,wj->w", share, cov[:, 1:, 1:], share)
     return Quantity(mean, np.sqrt(variance), "m-1", "diffuse attenuation coefficient")
 
@@ -168,7 +172,7 @@ def kd_fit(job: Job, bands: BandFit, definition: str) -> Fit:
     for i in range(unknowns):
         for j in range(unknowns):
             full[order + i * n, order + j * n] = cov[:, i, j]
-    kd = _mean_kd(profile, mask, x, cov, interfaces)
+    kd = mean_kd(job, x, cov)
     # Intervals of a band use its own degrees of freedom; the smallest is the honest one for all.
     lit = _lit(job)
     dof = None if profile.sigma is not None else float(np.min(bands.dof[lit], initial=1e9))

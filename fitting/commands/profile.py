@@ -9,11 +9,21 @@ import typer
 from fitting.commands.common import Output, SolarZenith, finish, preload, print_water, status
 
 if TYPE_CHECKING:
+    from fitting.archive import Task
     from fitting.posterior import Fit
+
+# Those that are the same for every water and cheap enough to fit with.
+TRANSPORTS = {
+    "two-stream": "TwoStream",
+    "four-stream": "FourStream",
+    "plane-parallel": "PlaneParallel",
+}
 
 
 def fit_profile_command(
-    path: Annotated[Path, typer.Argument(help="csv with columns depth and Ed_<nm>.")],
+    paths: Annotated[
+        list[Path], typer.Argument(help="csv, SeaBASS or netCDF (BGC-Argo) with Ed; one or many.")
+    ],
     output: Output = None,
     low: Annotated[float | None, typer.Option("--from", help="Shallowest depth, m.")] = None,
     high: Annotated[float | None, typer.Option("--to", help="Deepest depth, m.")] = None,
@@ -22,25 +32,66 @@ def fit_profile_command(
         str, typer.Option(help="Layers of constant Kd: a number, or auto to let the data choose.")
     ] = "1",
     kd_only: Annotated[bool, typer.Option(help="Skip the fit of constituents.")] = False,
+    transport: Annotated[
+        str, typer.Option(help="Model of the light for constituents: " + ", ".join(TRANSPORTS))
+    ] = "two-stream",
+    know: Annotated[
+        list[str] | None, typer.Option(help="What is known, as cdom=0.12+-0.01; repeatable.")
+    ] = None,
+    unit: Annotated[
+        str | None, typer.Option(help="Unit of Ed where the file states none: 'uW cm-2 nm-1'.")
+    ] = None,
+    columns: Annotated[
+        str | None, typer.Option(help="The file's columns by ours: depth=z,Ed_490=irr.")
+    ] = None,
+    depth_offset: Annotated[
+        float, typer.Option(help="Metres from pressure sensor down to light sensor.")
+    ] = 0.0,
+    tilt_limit: Annotated[
+        float | None, typer.Option(help="Leave out samples tilted further, degrees.")
+    ] = None,
+    cluster: Annotated[
+        str | None, typer.Option(help="Address of a dask scheduler, for archives.")
+    ] = None,
 ) -> None:
-    """Fit Kd of every band and the constituents of the water to a depth profile of Ed."""
-    from fitting import fit_profile
-    from fitting.readers import read_profile
-    from fitting.report import picture, save
-    from oceaninv import TwoStream
+    """Fit Kd of every band and the constituents of the water to depth profiles of Ed.
 
-    profile = read_profile(path, solar_zenith)
+    Of many files, or a file of many casts, Kd alone is fitted; -o names the folder of results.
+    """
+    from fitting.casts import Reading, profile_of, raw_casts
+
+    units = {} if unit is None else {kind: unit for kind in ("Ed", "Eu", "Lu")}  # noqa: C420
+    reading = Reading(solar_zenith, units, _columns(columns), depth_offset, tilt_limit)
+    count, model, priors = _layers(layers), _transport(transport), _known(know or [])
     depth_range = None
     if low is not None or high is not None:
-        deepest = float(profile.depth.max())
-        depth_range = (low or 0.0, deepest if high is None else high)
+        depth_range = (low or 0.0, 1e5 if high is None else high)
+    if len(paths) == 1 and cluster is None:
+        casts = raw_casts(paths[0], reading)
+        if len(casts) == 1:
+            profile = profile_of(casts[0], reading)
+            _fit_one(profile, paths[0], output, depth_range, count, kd_only, model, priors)
+            return
+    from fitting.archive import Task
+
+    _fit_many(paths, Task(output or Path("kd"), reading, depth_range, count), cluster)
+
+
+def _fit_one(profile, path, output, depth_range, layers, kd_only, transport, priors) -> None:
+    from fitting import fit_profile
+    from fitting.report import picture, save
+
+    if depth_range is not None and depth_range[1] > profile.depth.max():
+        depth_range = (depth_range[0], float(profile.depth.max()))
     preload()
     with status("fitting Kd"):
-        fit = fit_profile(profile, depth_range=depth_range, layers=_layers(layers))
+        fit = fit_profile(profile, depth_range=depth_range, layers=layers)
     constituents = None
     if not kd_only:
         with status("fitting constituents (the first run compiles)"):
-            constituents = fit_profile(profile, transport=TwoStream(), depth_range=depth_range)
+            constituents = fit_profile(
+                profile, transport=transport, depth_range=depth_range, priors=priors
+            )
     _print_kd(fit)
     if constituents is not None:
         print_water(constituents)
@@ -49,6 +100,75 @@ def fit_profile_command(
         lambda p: save(p, fit, constituents),
         lambda p: picture(fit, p, constituents),
     )
+
+
+def _fit_many(paths: list[Path], task: "Task", cluster: str | None) -> None:
+    import sys
+
+    from rich.console import Console
+    from rich.progress import Progress
+
+    from fitting.archive import fit_archive
+
+    failed = casts = resumed = 0
+    with Progress(console=Console(stderr=True)) as progress:
+        bar = progress.add_task("fitting", total=len(paths))
+        for outcome in fit_archive(paths, task, cluster):
+            progress.advance(bar)
+            casts, resumed = casts + outcome.casts, resumed + outcome.resumed
+            failed += bool(outcome.problems)
+            for sentence in outcome.problems:
+                print(f"oceaninv: {sentence}", file=sys.stderr)
+    print(f"{casts} casts of {len(paths)} files; {resumed} files were done before")
+    print(f"results are in {task.folder}")
+    if failed:
+        raise ValueError(
+            f"{failed} of {len(paths)} files could not be used in full; the rest is done."
+        )
+
+
+def _columns(text: str | None) -> dict[str, str]:
+    pairs = [pair.partition("=") for pair in (text or "").split(",") if pair]
+    for ours, _, theirs in pairs:
+        if not (ours and theirs):
+            raise ValueError(f"--columns is {text!r}; write ours=theirs, as depth=z,Ed_490=irr.")
+    return {ours.strip(): theirs.strip() for ours, _, theirs in pairs}
+
+
+def _transport(name: str):
+    import oceaninv as oi
+
+    if name not in TRANSPORTS:
+        from oceaninv.tables import unknown
+
+        raise unknown("transport", name, list(TRANSPORTS))
+    return getattr(oi, TRANSPORTS[name])()
+
+
+def _known(texts: list[str]) -> dict:
+    """Priors from "cdom=0.12+-0.01"."""
+    from fitting.parameters import Parameter, constituents
+
+    known = {p.name: p for p in constituents()}
+    priors = {}
+    for text in texts:
+        name, _, rest = text.partition("=")
+        value, _, spread = rest.partition("+-")
+        if name not in known:
+            from oceaninv.tables import unknown
+
+            raise unknown("constituent", name, sorted(known))
+        try:
+            centre, sd = float(value), float(spread)
+            if not (centre > 0 and sd > 0):
+                raise ValueError
+        except ValueError:
+            raise ValueError(
+                f"--know is {text!r}; write name=value+-spread, both positive, as cdom=0.12+-0.01."
+            ) from None
+        # The coordinate is a logarithm: its spread is the relative one.
+        priors[name] = Parameter(name, centre, sd / centre, unit=known[name].unit)
+    return priors
 
 
 def _layers(text: str) -> int | None:
@@ -82,8 +202,8 @@ def _print_kd(fit: "Fit") -> None:
     Console().print(table)
     if fit.metadata["interfaces_m"]:
         _print_layers(fit)
-    if fit.metadata["masked_values"]:
-        print(f"masked: {fit.metadata['masked_values']} missing or non-positive values")
+    for reason, number in fit.metadata["left_out"].items():
+        print(f"{reason}: {number}")
     print(f"search: {fit.result}")
 
 
