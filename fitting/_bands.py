@@ -164,7 +164,11 @@ def _fit_lane(lane: Lanes):
     mask, count = lane.mask, jnp.sum(lane.mask).astype(lane.Ed.dtype)
     lit = jnp.where(mask, (lane.Ed - lane.dark) / lane.reference, 1.0)
     positive = jnp.maximum(lit, 1e-3 * jnp.maximum(lane.floor, 1e-300))
-    relative = positive**2 / ((RELATIVE_NOISE * positive) ** 2 + lane.floor**2)
+    expected = (RELATIVE_NOISE * positive) ** 2 + lane.floor**2
+    if lane.sigma is not None:
+        # The errors are given for Ed; `lit` is relative to the light above.
+        expected = (jnp.where(mask, lane.sigma, 1.0) / lane.reference) ** 2
+    relative = positive**2 / expected
     x = _start(path, jnp.log(positive), jnp.where(mask & (lit > 0), relative, 0.0))
 
     def spread(signal, noise, rise=1.0):
