@@ -2,13 +2,14 @@
 
 from fitting.bulk import fit_bulk
 from fitting.contents import AbstractContents, Milk, NaturalWater, Populations
-from fitting.observations import Background, Bulk, Chart, Photo, Pixels, Profile
+from fitting.observations import Bulk, Profile
 from fitting.parameters import Identity, Log, Logit, Parameter
 from fitting.photo import design, fit_photo, fit_photos
 from fitting.photographs import Photograph, read_photograph, read_range
 from fitting.posterior import Fit, Quantity
 from fitting.profile import fit_profile
 from fitting.profiles import ProfileFits, fit_profiles
+from fitting.readings import Background, Chart, Photo, Pixels
 from fitting.sampling import NUTS, joint_region, sample
 
 __all__ = [

@@ -7,8 +7,8 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 import oceaninv as oi
-from fitting.observations import Photo, Pixels
 from fitting.parameters import water_iops
+from fitting.readings import Photo, Pixels
 from oceaninv.transport.base import AbstractTransport
 
 WAVELENGTH = oi.spectrum.bands(16)

@@ -19,7 +19,6 @@ from fitting._photo_model import (
     predict_pixels,
     readings_of,
 )
-from fitting.observations import Photo
 from fitting.parameters import (
     Identity,
     Log,
@@ -30,6 +29,7 @@ from fitting.parameters import (
     shape_nuisances,
 )
 from fitting.quantities import UNITS, water_quantities
+from fitting.readings import Photo
 from fitting.sampling import AbstractProblem
 from fitting.solve import Optimum, least_squares
 from oceaninv.transport.base import AbstractTransport

@@ -19,10 +19,10 @@ from fitting._photo_problem import (
     search,
 )
 from fitting._programs import kept
-from fitting.observations import Photo
 from fitting.parameters import Parameter
 from fitting.posterior import Fit, Predictive
 from fitting.quantities import UNITS, quantities_of
+from fitting.readings import Photo
 from fitting.solve import Optimum, covariance, sentence, value_and_jacobian
 from oceaninv.transport.base import AbstractTransport
 

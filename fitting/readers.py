@@ -9,7 +9,8 @@ from pathlib import Path
 import numpy as np
 
 import oceaninv as oi
-from fitting.observations import Background, Chart, Photo, Profile
+from fitting.observations import Profile
+from fitting.readings import Background, Chart, Photo
 
 
 @dataclasses.dataclass(frozen=True)
