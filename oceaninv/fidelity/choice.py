@@ -45,7 +45,7 @@ class Plan:
     def metadata(self, tolerance: float) -> dict:
         """What a file should say of the choice."""
         return {
-            "transport": repr(self.transport),
+            "transport": rung(self.transport),
             "tolerance": tolerance,
             "predicted_error": self.predicted_error,
             "dropped": [name for name, term in self.terms.items() if not term.kept],
@@ -124,18 +124,25 @@ def choose(
     for transport in FLUX_LADDER if quantity == "irradiance" else RADIANCE_LADDER:
         lacks = _lacks(transport, scene)
         if lacks:
-            tried.append(f"{transport!r} does not solve {lacks}")
+            tried.append(f"{rung(transport)} does not solve {lacks}")
             continue
-        error = spent + errors.predicted(quantity, repr(transport), scene, parts, depth, channels)
-        tried.append(f"{transport!r} errs by {100 * error:.2g} %")
+        error = spent + errors.predicted(quantity, rung(transport), scene, parts, depth, channels)
+        tried.append(f"{rung(transport)} errs by {100 * error:.2g} %")
         if error <= tolerance:
             return transport, error, tried
         if best is None or error < best[1]:
             best = (transport, error)
     if best is None:
         raise ValueError(f"no transport solves this scene: {'; '.join(tried)}.")
-    tried.append(f"no rung promises {100 * tolerance:.2g} %, {best[0]!r} comes nearest")
+    tried.append(f"no rung promises {100 * tolerance:.2g} %, {rung(best[0])} comes nearest")
     return *best, tried
+
+
+def rung(transport: AbstractTransport) -> str:
+    """Name of a rung in the table of errors: type and dials, whatever else it may hold."""
+    if isinstance(transport, PlaneParallel):
+        return f"PlaneParallel(streams={transport.streams}, orders={transport.orders})"
+    return f"{type(transport).__name__}()"
 
 
 def _lacks(transport: AbstractTransport, scene: Scene) -> str:

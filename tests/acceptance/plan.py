@@ -31,7 +31,7 @@ def collect(draws):
     found = {}
     for quantity, ladder in scenes.LADDER.items():
         for rung in (scenes.REFERENCE, *ladder):
-            found[quantity, repr(rung)] = scenes.answers(draws, rung, quantity)
+            found[quantity, planning.rung(rung)] = scenes.answers(draws, rung, quantity)
     return found
 
 
@@ -68,7 +68,7 @@ def fit(found, all_cases, training) -> dict[tuple[str, str], errors.Model]:
     for quantity in ("irradiance", "radiance", "photograph"):
         ladder = scenes.LADDER["irradiance" if quantity == "irradiance" else "radiance"]
         key = "irradiance" if quantity == "irradiance" else "radiance"
-        truth, lit, _ = found[key, repr(scenes.REFERENCE)]
+        truth, lit, _ = found[key, planning.rung(scenes.REFERENCE)]
         places = [errors.depths_of(bands, this, quantity, eye) for this, eye, bands in all_cases]
         rows = np.stack(
             [
@@ -77,7 +77,7 @@ def fit(found, all_cases, training) -> dict[tuple[str, str], errors.Model]:
             ]
         )
         for rung in ladder:
-            value, _, seconds = found[key, repr(rung)]
+            value, _, seconds = found[key, planning.rung(rung)]
             target = np.log(by_band(value, truth, quantity) + errors.LEAST)
             use = np.zeros(lit.shape, bool)
             use[training] = True
@@ -100,7 +100,7 @@ def fit(found, all_cases, training) -> dict[tuple[str, str], errors.Model]:
                 for i in training
             ]
             margin = float(np.quantile(excess, MARGINS[quantity]))
-            models[quantity, repr(rung)] = errors.Model(coefficients, margin, seconds)
+            models[quantity, planning.rung(rung)] = errors.Model(coefficients, margin, seconds)
     return models
 
 
@@ -122,7 +122,7 @@ def table(found, all_cases, test) -> str:
         f"`python -m tests.acceptance.plan`: {len(test)} random scenes that the error models have "
         "not seen (chlorophyll 0.01-30 mg/m3, CDOM and detritus 0.001-5 /m, sun 0-75 degrees, sky "
         "in half, depth 0.5-40 m, floor in half; bands 420-630 nm).  Truth: "
-        f"{scenes.REFERENCE!r}, whose own radiance is not much better than 1 %.  The margins of "
+        f"{planning.rung(scenes.REFERENCE)}, whose own radiance is not much better than 1 %.  The margins of "
         "the error models were set with these results in sight, their coefficients were not.  "
         "Cost: processor seconds per scene of the compiled program, over the cheapest rung that "
         "keeps the tolerance; among scenes in which one does.\n",
@@ -133,8 +133,8 @@ def table(found, all_cases, test) -> str:
     seconds = []
     for quantity in ("irradiance", "radiance", "photograph"):
         key = "irradiance" if quantity == "irradiance" else "radiance"
-        names = [repr(rung) for rung in scenes.LADDER[key]]
-        truth, lit, _ = found[key, repr(scenes.REFERENCE)]
+        names = [planning.rung(rung) for rung in scenes.LADDER[key]]
+        truth, lit, _ = found[key, planning.rung(scenes.REFERENCE)]
         true = {n: scenes.errors(found[key, n][0], truth, lit, quantity) for n in names}
         cost = {n: found[key, n][2] for n in names}
         for tolerance in TOLERANCES:
@@ -144,7 +144,7 @@ def table(found, all_cases, test) -> str:
                 start = time.perf_counter()
                 choice = planning.choose(this, tolerance, quantity, eye, scenes.channels())
                 seconds.append(time.perf_counter() - start)
-                name = repr(choice[0])
+                name = planning.rung(choice[0])
                 chosen.append(name)
                 promised.append(choice[1] <= tolerance)
                 kept.append(true[name][i] <= tolerance)
@@ -168,15 +168,15 @@ def table(found, all_cases, test) -> str:
         ("irradiance", ("irradiance",)),
         ("radiance", ("radiance", "photograph")),
     ):
-        truth, lit, _ = found[key, repr(scenes.REFERENCE)]
+        truth, lit, _ = found[key, planning.rung(scenes.REFERENCE)]
         for rung in scenes.LADDER[key]:
-            value, _, cost = found[key, repr(rung)]
+            value, _, cost = found[key, planning.rung(rung)]
             cells = {}
             for quantity in quantities:
                 e = scenes.errors(value, truth, lit, quantity)[test]
                 cells[quantity] = f"{np.median(e):.2g} / {np.quantile(e, 0.95):.2g}"
             row = [cells.get(q, "") for q in ("irradiance", "radiance", "photograph")]
-            lines.append(f"| {rung!r} | {' | '.join(row)} | {1e3 * cost:.2g} |")
+            lines.append(f"| {planning.rung(rung)} | {' | '.join(row)} | {1e3 * cost:.2g} |")
     lines.append(
         f"\nThe choice itself takes {1e3 * np.median(seconds):.2g} ms (median), nothing compiled."
     )
