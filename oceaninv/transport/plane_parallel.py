@@ -276,13 +276,16 @@ class PlaneParallel(AbstractTransport):
 
     - **Solves**: the radiative transfer equation in any number of homogeneous layers, endlessly
       deep or over a Lambertian floor, under a flat Fresnel surface or none, with sun (refracted)
-      and uniform sky.  Delta-M scaling (Wiscombe 1977), single scattering with the exact phase
+      and any sky.  Delta-M scaling (Wiscombe 1977), single scattering with the exact phase
       function (Nakajima & Tanaka 1988), radiance by integrating the source function along the
       line of sight.
-    - **Neglects**: waves, polarisation, inelastic scattering, the sun's own disc in radiances.
+    - **Inelastic** light (`Scene(inelastic=...)`): one generation, or as many as `generations`;
+      `inelastic_left` bounds the rest.  Sources are sums of exponentials of depth, right to 1e-6
+      in float64.
+    - **Neglects**: waves, polarisation, the sun's own disc in radiances.
     - **Dials**: `streams` directions per hemisphere, each with two Legendre moments (7/4 under a
       surface); `orders` of azimuth kept in radiances (default: as many as streams; fluxes need
-      one, and so do radiances under a sun in the zenith).
+      one, and so do radiances under a sun in the zenith); `generations`.
     - **Cost** per wavelength on one core in float64, 16 streams, 10 depths: 0.1 ms; it grows as
       streams^3 and linearly in layers, orders and wavelengths.
     - **Measured error** (`tests/test_plane_parallel.py`, `tests/test_discrete_ordinates.py`):
@@ -298,7 +301,7 @@ class PlaneParallel(AbstractTransport):
     are split at the critical cosine, where the reflectance has a square-root singularity, and
     Gaussian in the cosine in air inside Snell's cone.
 
-    Raises ValueError for less than 2 streams or 1 order.
+    Raises ValueError for less than 2 streams, 1 order or 1 generation.
     """
 
     streams: int = eqx.field(static=True)

@@ -1,0 +1,202 @@
+"""PlaneParallel against the reference fields: the table of its accuracy.
+
+    python -m tests.acceptance.plane_parallel_accuracy [path of radiative_transfer.json]
+
+writes tests/acceptance/plane_parallel_accuracy.md (a few minutes on one core);
+
+    python -m tests.acceptance.plane_parallel_accuracy radiance [path]
+
+prints the errors of radiances, which takes longer.
+"""
+
+import json
+import sys
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+import oceaninv as oi
+from oceaninv.phase import HenyeyGreenstein, Isotropic, Seawater, petzold
+
+ROOT = Path(__file__).parents[2]
+REFERENCE = ROOT.parent / "shared" / "reference" / "radiative_transfer.json"
+TABLE = ROOT / "tests/acceptance/plane_parallel_accuracy.md"
+
+
+def scene(case, phase=None):
+    """A case without a surface; the wavelength carries no meaning."""
+    w, one = float(case["omega"]), jnp.ones(1)
+    phase = HenyeyGreenstein(float(case["g"])) if phase is None else phase
+    zenith = float(np.degrees(np.arccos(case["mu0"])))
+    floor = None
+    if case["T"] != "inf":
+        floor = oi.Floor(float(case["T"]), one * float(case["rho"]))
+    water = oi.IOPs([500.0], one * (1 - w), one * w, phase)
+    return oi.Scene(water, oi.Light(jnp.asarray(zenith), one), floor=floor)
+
+
+def fluxes(cases, streams):
+    """Per case, the largest excess: |error| - 1e-6 |value|, over Ed, Eu, E0."""
+    rows = []
+    for case in cases:
+        found = oi.PlaneParallel(streams).fluxes(scene(case), jnp.asarray(case["tau"]))
+        excess = [
+            np.abs(np.asarray(getattr(found, k))[:, 0] - case[k]) - 1e-6 * np.abs(case[k])
+            for k in ("Ed", "Eu", "E0")
+        ]
+        rows.append([e.max() for e in excess])
+    return np.array(rows)
+
+
+def flux_lines(cases):
+    lines = [
+        "## Fluxes: largest |error| - 1e-6 |value| for a beam of 1 normal to itself",
+        "",
+        "| streams | g | cases | Ed | Eu | E0 |",
+        "|---|---|---|---|---|---|",
+    ]
+    for streams in (16, 48):
+        found = fluxes(cases, streams)
+        for name, chosen in (
+            ("<= 0.8", [c["g"] <= 0.8 for c in cases]),
+            ("0.924", [c["g"] > 0.8 for c in cases]),
+        ):
+            worst = found[np.array(chosen)].max(axis=0)
+            lines.append(
+                f"| {streams} | {name} | {sum(chosen)} | "
+                + " | ".join(f"{max(v, 0):.1e}" for v in worst)
+                + " |"
+            )
+            print(lines[-1], flush=True)
+    return [*lines, ""]
+
+
+def sphere_of_views(case):
+    """Rays for every (mu, tau, phi) of a reference radiance; the eye looks against the light."""
+    mu, tau, phi = (np.asarray(case[k]) for k in ("mu", "tau", "phi_deg"))
+    mu, tau, phi = np.meshgrid(mu, tau, np.radians(phi), indexing="ij")
+    sine = np.sqrt(1 - mu**2)
+    look = np.stack([sine * np.cos(phi), -sine * np.sin(phi), mu], axis=-1)
+    origin = np.stack([0 * tau, 0 * tau, tau], axis=-1)
+    return oi.Rays(jnp.asarray(origin.reshape(-1, 3)), jnp.asarray(look.reshape(-1, 3)))
+
+
+def radiance_lines(cases):
+    lines = [
+        "## Radiance where the reference is flagged reliable: |relative error|",
+        "",
+        "| g | sun | streams | values | median | 90 % | largest | share within 1e-3 |",
+        "|---|---|---|---|---|---|---|---|",
+    ]
+    kinds = {}
+    for case in cases:
+        kinds.setdefault((case["g"], case["mu0"] == 1.0), []).append(case)
+    for (g, vertical), chosen in sorted(kinds.items()):
+        for streams in (16, 48):
+            errors = []
+            for case in chosen:
+                transport = oi.PlaneParallel(streams, 1 if vertical else min(streams, 32))
+                found = transport.radiance(scene(case), sphere_of_views(case)).value
+                exact = np.asarray(case["L"])
+                reliable = np.asarray(case["reliable"]) > 0
+                reliable = reliable.reshape(reliable.shape + (1,) * (3 - reliable.ndim))
+                good = np.broadcast_to(reliable, exact.shape) & (np.abs(exact) > 1e-10)
+                error = np.asarray(found).reshape(exact.shape)[good] / exact[good] - 1
+                errors.append(np.abs(error))
+            errors = np.concatenate(errors)
+            lines.append(
+                f"| {g} | {'zenith' if vertical else 'slanted'} | {streams} | {errors.size} | "
+                f"{np.median(errors):.1e} | {np.quantile(errors, 0.9):.1e} | {errors.max():.1e} | "
+                f"{np.mean(errors <= 1e-3):.3f} |"
+            )
+            print(lines[-1], flush=True)
+    return [*lines, ""]
+
+
+def mobley_lines():
+    """Streams at which Ed, E0u are within 0.1 % and Lu within 0.5 % of 64 streams."""
+    lines = [
+        "## Mobley et al. 1993, problems 1, 2 and 6: largest error against 64 streams",
+        "",
+        "| problem | streams | Ed | Eou | Lu |",
+        "|---|---|---|---|---|",
+    ]
+    for name, albedo, phase, bottom, counts in (
+        ("1, w 0.9", 0.9, Seawater(1.0), None, (8, 12, 16)),
+        ("1, w 0.2", 0.2, Seawater(1.0), None, (8, 12, 16)),
+        ("2, w 0.9", 0.9, petzold(), None, (16, 24, 32)),
+        ("2, w 0.2", 0.2, petzold(), None, (16, 24, 32)),
+        ("6", 0.2, petzold(), 5.0, (16, 24, 32)),
+    ):
+        one = jnp.ones(1)
+        floor = None if bottom is None else oi.Floor(bottom, 0.5 * one)
+        water = oi.IOPs([500.0], (1 - albedo) * one, albedo * one, phase)
+        given = oi.Scene(water, oi.Light(60.0, one), oi.FlatSurface(1.34), floor)
+        z = np.array([1.0, 5.0, 10.0] if bottom is None else [1.0, 2.5, 5.0])
+        down = oi.Rays(jnp.asarray(z[:, None] * np.eye(3)[2]), jnp.asarray(np.eye(3)[[2, 2, 2]]))
+
+        def solve(streams, given=given, z=z, down=down):
+            f = oi.PlaneParallel(streams).fluxes(given, jnp.asarray(z))
+            look = oi.PlaneParallel(streams, min(streams, 8)).radiance(given, down).value
+            return [np.asarray(v)[:, 0] for v in (f.Ed, f.E0u, look)]
+
+        converged = solve(64)
+        for streams in counts:
+            errors = [
+                np.abs(v / c - 1).max() for v, c in zip(solve(streams), converged, strict=True)
+            ]
+            lines.append(f"| {name} | {streams} | " + " | ".join(f"{e:.1e}" for e in errors) + " |")
+            print(lines[-1], flush=True)
+    return [*lines, ""]
+
+
+def other_lines(analytic):
+    lines = ["## Others", "", "| what | error |", "|---|---|"]
+    worst = []
+    for case in analytic["chandrasekhar"]:
+        given = scene(case | {"g": 0.0, "T": "inf"}, Isotropic())
+        found = oi.PlaneParallel(48).fluxes(given, jnp.zeros(1)).Eu[0, 0] / case["mu0"]
+        worst.append(abs(float(found) / case["albedo"] - 1))
+    lines.append(f"| Chandrasekhar's albedo of endless water, 48 streams | {max(worst):.1e} |")
+    for streams in (48, 128):
+        errors = []
+        for case in analytic["asymptotic_K_over_c"]:
+            one, w = jnp.ones(1), case["omega"]
+            water = oi.IOPs([500.0], (1 - w) * one, w * one, HenyeyGreenstein(float(case["g"])))
+            value = float(oi.apparent.kd_asymptotic(water, streams)[0])
+            errors.append((abs(value / case["K_over_c"] - 1), w, case["rel_change"]))
+        high = max(e for e, w, _ in errors if w > 0.5)
+        low = max(e for e, w, _ in errors if w <= 0.5)
+        change = max(r for _, w, r in errors if w <= 0.5)
+        lines.append(
+            f"| K/c, {streams} streams: w > 0.5, w <= 0.5 (the reference moves by {change:.0e} "
+            f"there) | {high:.1e}, {low:.1e} |"
+        )
+    given = scene({"omega": 1.0, "g": 0.8, "mu0": 0.5, "T": 10.0, "rho": 1.0})
+    f = oi.PlaneParallel(16).fluxes(given, jnp.linspace(0.0, 10.0, 5))
+    lines.append(
+        f"| conservative slab over a white floor: net flux | "
+        f"{float(jnp.abs(f.Ed - f.Eu).max()):.1e} |"
+    )
+    print(*lines, sep="\n", flush=True)
+    return lines
+
+
+def main(path=REFERENCE):
+    reference = json.loads(Path(path).read_text())
+    text = ["Written by `python -m tests.acceptance.plane_parallel_accuracy`.", ""]
+    text += [*other_lines(reference["analytic"]), ""]
+    text += flux_lines(reference["flux"]["cases"])
+    text += mobley_lines()
+    TABLE.write_text("\n".join(text), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    jax.config.update("jax_enable_x64", True)
+    if sys.argv[1:2] == ["radiance"]:
+        where = Path(sys.argv[2]) if len(sys.argv) > 2 else REFERENCE
+        radiance_lines(json.loads(where.read_text())["radiance"]["cases"])
+    else:
+        main(*sys.argv[1:])
