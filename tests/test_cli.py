@@ -62,6 +62,8 @@ def test_fit_photo_reports_intervals_on_the_real_frame(tmp_path, capsys):
         (["fit-photo", CAST, "--depth", "5"], "column 'kind'"),
         (["fit-photo", CAST, "--depth", "deep"], "--depth is 'deep'"),
         (["fit-photo", CAST, "--depth", "-3+-1"], "must be positive"),
+        (["fit-photo", CAST, "--depth", "5", "--know", "cdom=0.1"], "write name=value+-sd"),
+        (["fit-photo", CAST, "--depth", "5", "--robust", "-1"], "--robust is -1"),
     ],
 )
 def test_bad_input_ends_with_a_sentence_and_code_3(

@@ -23,21 +23,49 @@ def fit_photo_command(
     matrix: Annotated[
         bool, typer.Option(help="Free 3 x 3 colour matrix (raw developer unknown).")
     ] = False,
+    know: Annotated[
+        list[str] | None,
+        typer.Option(help="Value known otherwise, as cdom=0.12+-0.01 or Kd_490=0.09+-0.01."),
+    ] = None,
+    robust: Annotated[
+        float | None,
+        typer.Option(help="Standard deviations beyond which a reading counts linearly."),
+    ] = None,
+    sample: Annotated[
+        bool, typer.Option(help="Draw from the posterior (NUTS; minutes, needs blackjax).")
+    ] = False,
 ) -> None:
     """Fit the water's constituents to readings of charts and open water in a photograph."""
     from fitting import fit_photo
+    from fitting import sample as draw
     from fitting.readers import read_photo
     from fitting.report import picture, save
 
     metres, relative = _depth(depth)
+    known = dict(_known(text) for text in know or ())
+    if robust is not None and not robust > 0:
+        raise ValueError(f"--robust is {robust:g}; a positive number wanted.")
     photo, clipped = read_photo(path, metres, relative, camera, solar_zenith, azimuth)
     preload()
     with status("fitting constituents (the first run compiles)"):
-        fit = fit_photo(photo, matrix=matrix)
+        fit = fit_photo(photo, matrix=matrix, know=known, robust=robust)
+    if sample:
+        with status("sampling the posterior (minutes)"):
+            fit = draw(fit)
     if clipped or photo.masked:
         print(f"left out: {clipped} clipped rows, {photo.masked} missing or non-positive values")
     print_water(fit)
     finish(output or Path(path.stem), lambda p: save(p, fit), lambda p: picture(fit, p))
+
+
+def _known(text: str) -> tuple[str, tuple[float, float]]:
+    """(name, (value, standard deviation)) from "cdom=0.12+-0.01"."""
+    name, _, numbers = text.partition("=")
+    value, _, spread = numbers.partition("+-")
+    try:
+        return name.strip(), (float(value), float(spread))
+    except ValueError:
+        raise ValueError(f"--know is {text!r}; write name=value+-sd, as cdom=0.12+-0.01.") from None
 
 
 def _depth(text: str) -> tuple[float, float]:
