@@ -30,13 +30,11 @@ def darkness(Ed: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         deep = values[-(len(values) // 10) :]
         if len(deep) < 2 * MIN_DEPTHS:
             continue
-        half = len(deep) // 2
-        upper, lower = np.median(deep[:half]), np.median(deep[half:])
         middle = np.median(deep)
         spread = 1.4826 * np.median(np.abs(deep - middle))
-        # A median's standard error is 1.25 of a mean's.
-        step = 1.2533 * spread * np.sqrt(2.0 / half)
-        flat = upper - lower < 2.5 * step
+        # Spearman's rank correlation with depth: light, however little, still falls.
+        ranks = np.argsort(np.argsort(deep))
+        flat = np.corrcoef(ranks, np.arange(len(deep)))[0, 1] > -1.645 / np.sqrt(len(deep) - 1)
         if spread > 0 and flat and abs(middle) + spread < _DARKEST * np.max(values):
             level[i], scatter[i] = middle, spread
             # Half as much again: neighbours in time drift together.
