@@ -32,8 +32,12 @@ def write(
                 dims,
                 _text() if text else values.dtype,
                 data=values.astype(object) if text else values,
-                # What is missing is NaN; files say so.
-                fillvalue=np.array(np.nan, values.dtype) if values.dtype.kind == "f" else None,
+                # What is missing is NaN; files say so, but CF allows no gap along an axis.
+                fillvalue=(
+                    np.array(np.nan, values.dtype)
+                    if values.dtype.kind == "f" and name not in coords
+                    else None
+                ),
             )
             made.attrs.update(notes)
         place.attrs.update(attributes)

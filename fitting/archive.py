@@ -86,7 +86,8 @@ def _write(fits: ProfileFits, target: Path) -> None:
     from fitting.report import whole
 
     with whole(target) as temporary:
-        fits.to_xarray().to_netcdf(temporary, engine="h5netcdf")
+        axis = {"wavelength": {"_FillValue": None}}  # CF allows no gap along an axis
+        fits.to_xarray().to_netcdf(temporary, engine="h5netcdf", encoding=axis)
 
 
 def fit_archive(

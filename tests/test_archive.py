@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from fitting import Profile, cli, fit_profile, fit_profiles
+from fitting import Profile, cli, fit_profile, fit_profiles, report
 from fitting.archive import Task, fit_archive
 from fitting.casts import Reading
 
@@ -62,6 +62,19 @@ def test_the_table_of_casts_agrees_with_each_fit():
     np.testing.assert_allclose(data.Kd[1], kd.value)
     # Per band its own degrees of freedom; a `Fit` has the smallest for all.
     assert bool(np.all(data.Kd_high[1] <= kd.interval(0.95, fits[1].dof)[1] * (1 + 1e-9)))
+
+
+def test_files_pass_the_cf_checker(tmp_path):
+    suite = pytest.importorskip("compliance_checker.suite")
+    paths = [write(tmp_path, cast, f"cast{i}.csv") for i, cast in enumerate(casts(2))]
+    list(fit_archive(paths, Task(tmp_path / "out")))
+    report.save(tmp_path / "fit.nc", fit_profile(casts(1)[0]))
+    checks = suite.CheckSuite()
+    checks.load_all_available_checkers()
+    for path in (tmp_path / "out" / "cast0.csv.kd.nc", tmp_path / "fit.nc"):
+        scores, _ = checks.run_all(checks.load_dataset(str(path)), ["cf:1.8"], [])["cf:1.8"]
+        errors = [r for r in scores if r.weight == 3 and r.msgs]
+        assert not errors, [r.msgs for r in errors]
 
 
 def write(folder, cast, name):
