@@ -122,8 +122,9 @@ def table(found, all_cases, test) -> str:
         f"`python -m tests.acceptance.plan`: {len(test)} random scenes that the error models have "
         "not seen (chlorophyll 0.01-30 mg/m3, CDOM and detritus 0.001-5 /m, sun 0-75 degrees, sky "
         "in half, depth 0.5-40 m, floor in half; bands 420-630 nm).  Truth: "
-        f"{planning.rung(scenes.REFERENCE)}, whose own radiance is not much better than 1 %.  The margins of "
-        "the error models were set with these results in sight, their coefficients were not.  "
+        f"{planning.rung(scenes.REFERENCE)}, whose own radiance is not much better than 1 %.  The "
+        "margins of the error models were set with these results in sight, their coefficients "
+        "were not.  "
         "Cost: processor seconds per scene of the compiled program, over the cheapest rung that "
         "keeps the tolerance; among scenes in which one does.\n",
         "| quantity | tolerance | kept, where promised | promised | a rung keeps it | cost / "
