@@ -153,7 +153,10 @@ def estimate(sums: tuple[Array, Array], scene: Scene, bounces: int) -> Estimate:
     albedo = jax.lax.stop_gradient(albedo).reshape((1,) * (value.ndim - 1) + (-1,))
     last = jnp.abs(jnp.mean(jax.lax.stop_gradient(tail), axis=0)) / max(bounces // 4, 1)
     room = 1.0 - albedo
-    bias = jnp.where(room > 0, last * albedo / jnp.where(room > 0, room, 1.0), jnp.nan)
+    # That holds once contributions decline: not while the last quarter still brings a tenth.
+    declining = last * max(bounces // 4, 1) <= 0.1 * jnp.abs(jax.lax.stop_gradient(value))
+    known = (room > 0) & declining
+    bias = jnp.where(known, last * albedo / jnp.where(room > 0, room, 1.0), jnp.nan)
     return Estimate(value, stderr, bias)
 
 
