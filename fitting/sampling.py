@@ -64,7 +64,7 @@ def sample(
 
     **Arguments:**
 
-    - `fit`: a fit of photographs, or of a profile through a transport.
+    - `fit`: a fit of photographs.
     - `key`: of the random numbers; that of seed 0 unless given.
     - `sampler`: how many draws, chains and steps.
 
@@ -73,10 +73,7 @@ def sample(
     `result` says when they forbid trust.
     """
     if fit.problem is None:
-        raise ValueError(
-            "this fit keeps no posterior to sample; photo fits and fits of a profile through a "
-            "transport do."
-        )
+        raise ValueError("this fit keeps no posterior to sample; fits of photographs do.")
     if sampler.draws < 32:
         raise ValueError(f"draws is {sampler.draws}; at least 32 are needed.")
     key = jax.random.key(0) if key is None else key
