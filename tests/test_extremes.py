@@ -30,7 +30,10 @@ def test_corners_of_whole_transports(case):
 _CASE = next(case for case in QUICK if case.name == "two-stream, irradiance, deep")
 _ARGUMENTS = st.tuples(
     *(
-        st.one_of(st.sampled_from(corners), st.floats(min(corners), max(corners), width=32))
+        st.one_of(
+            st.sampled_from(corners),
+            st.floats(*(float(np.float32(f(corners))) for f in (min, max)), width=32),
+        )
         for corners in _CASE.corners
     )
 )

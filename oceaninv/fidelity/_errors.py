@@ -17,7 +17,7 @@ from oceaninv.iops import IOPs
 from oceaninv.phase import backscatter_ratio_of
 from oceaninv.scene import Scene
 
-DATA = Path(__file__).parent.parent / "data" / "fidelity.csv"
+DATA = Path(__file__).with_name("errors.csv")
 LEVEL = np.log(100.0)  # irradiance counts down to the 1 % level
 LEAST = 1e-7  # errors below it are not told apart
 

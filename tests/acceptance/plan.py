@@ -2,7 +2,7 @@
 
     python -m tests.acceptance.plan [fit]
 
-Fits the error models on `TRAINING` scenes (with `fit`: writes oceaninv/data/fidelity.csv), plans
+Fits the error models on `TRAINING` scenes (with `fit`: writes oceaninv/fidelity/errors.csv), plans
 200 other scenes with them at tolerances of 10, 3 and 1 %, and compares with what each rung really
 errs by and costs.  Prints the table and writes plan.md beside this file.  Seeded; about ten minutes
 on two cores.
