@@ -35,10 +35,14 @@ def emission(
     The first generation is excited by light that never changed its wavelength, the next ones by
     the one before.
     """
-    return jax.tree.map(
-        lambda *parts: sum(parts[1:], parts[0]),
-        *(column for column, _ in _each(scene, columns, bases, sources, generations)),
+    every = [column for column, _ in _each(scene, columns, bases, sources, generations)]
+    total = jax.tree.map(lambda *parts: sum(parts[1:], parts[0]), *every)
+    # Amplitudes add up; the rates at which the exponentials fall off are those of each.
+    down, up = (
+        beam._replace(nu=own.nu)
+        for beam, own in zip(total.glow[:2], every[0].glow[:2], strict=True)
     )
+    return total._replace(glow=total.glow._replace(down=down, up=up))
 
 
 def left(
