@@ -198,13 +198,14 @@ def test_gradient_against_differences():
     one = jnp.ones(4)
     exact = np.asarray(jax.jit(jax.jacfwd(f))(one))
     np.testing.assert_allclose(jax.jit(jax.jacrev(f))(one), exact, rtol=1e-7, atol=1e-14)
-    value, step = jax.jit(f), 1e-3
+    # Rounding moves what the ill-conditioned fit of the source gives by some 1e-11: the steps are
+    # long enough to drown it, and errors count against the light itself.
+    value, step = jax.jit(f), 1e-2
+    worst = 1e-6 * np.abs(np.asarray(value(one))).max()
     for i in range(4):
         terms = [np.asarray(value(one + k * step * np.eye(4)[i])) for k in (-2, -1, 1, 2)]
         numeric = (terms[0] - 8 * terms[1] + 8 * terms[2] - terms[3]) / (12 * step)
-        # The rates of the fitted exponentials follow the water in a difference and are held
-        # fixed in a derivative: what the fit leaves, some 1e-6, tells.
-        assert np.abs(exact[..., i] - numeric).max() < 4e-6 * np.abs(numeric).max()
+        assert np.abs(exact[..., i] - numeric).max() < worst
 
 
 def test_absent_processes_change_nothing():
