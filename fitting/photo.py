@@ -18,6 +18,7 @@ from fitting._photo_problem import (
     prepare,
     search,
 )
+from fitting._planned import Demand, fit_within, scene_at
 from fitting._programs import kept
 from fitting.parameters import Parameter
 from fitting.posterior import Fit, Predictive
@@ -117,6 +118,7 @@ def fit_photo(
     know: Known | None = None,
     robust: float | None = None,
     starts: int = 1,
+    tolerance: float | None = None,
 ) -> Fit:
     """Fit one or many photographs of one water.
 
@@ -135,6 +137,9 @@ def fit_photo(
       squared (pseudo-Huber), for stray patches; None squares all.
     - `starts`: searches from so many points, the first at the priors' centres, the others drawn
       from the priors of the constituents; the best is taken.
+    - `tolerance`: instead of a transport, the largest relative error of a photograph that it may
+      bring: the cheapest that is good enough for the water found is taken, see `oceaninv.plan`;
+      which, and its predicted error, stand in `metadata["plan"]`.
 
     **Returns** a `Fit`.  Exposure, white balance, the light on each chart, the shape of the
     water's optical properties and the error of the closed form are free nuisances with priors, so
@@ -145,14 +150,31 @@ def fit_photo(
         raise ValueError("no photograph was given.")
     if starts < 1:
         raise ValueError(f"starts is {starts}; give 1 or more.")
-    transport = oi.TwoStream() if transport is None else transport
-    parameters, problem = _problem(photos, transport, priors, matrix, sunlight, know, robust)
-    begin = np.tile(np.asarray(problem.prior.centre), (starts, 1))
+
+    def solve(rung, start):
+        made = _problem(photos, rung, priors, matrix, sunlight, know, robust)
+        begin = _starts(*made, starts) if start is None else jnp.asarray(start)[None]
+        return _result(photos, *made, *_solve(made[1], begin))
+
+    if tolerance is None:
+        return solve(oi.TwoStream() if transport is None else transport, None)
+    sun = oi.spectrum.daylight(WAVELENGTH) if sunlight is None else sunlight
+
+    def scene(fit):
+        return scene_at(fit.parameters, fit.x, WAVELENGTH, sun)
+
+    demands = [Demand("photograph", photo.depth, photo.response) for photo in photos]
+    return fit_within(tolerance, transport, solve, scene, demands)
+
+
+def _starts(parameters, problem: PhotoProblem, count: int) -> Float[Array, "start unknown"]:
+    """Where searches begin: the priors' centres, then draws of the constituents."""
+    begin = np.tile(np.asarray(problem.prior.centre), (count, 1))
     rng = np.random.default_rng(0)
     for i, parameter in enumerate(parameters):
         if not parameter.nuisance:
-            begin[1:, i] += 0.5 * (parameter.spread or 1.0) * rng.standard_normal(starts - 1)
-    return _result(photos, parameters, problem, *_solve(problem, jnp.asarray(begin)))
+            begin[1:, i] += 0.5 * (parameter.spread or 1.0) * rng.standard_normal(count - 1)
+    return jnp.asarray(begin)
 
 
 def fit_photos(

@@ -10,6 +10,7 @@ import oceaninv as oi
 from fitting._bands import BandFit, thickness
 from fitting._evidence import choose_interfaces, runs_p, whitened
 from fitting._lanes import Job, fit_lanes, light_of, padded, window
+from fitting._planned import Demand, fit_within, scene_at
 from fitting._programs import kept
 from fitting.observations import MIN_DEPTHS, Profile
 from fitting.parameters import (
@@ -60,6 +61,7 @@ def fit_profile(
     priors: dict[str, Parameter] | None = None,
     depth_range: tuple[float, float] | None = None,
     layers: int | None = 1,
+    tolerance: float | None = None,
 ) -> Fit:
     """Fit a depth profile of downward irradiance.
 
@@ -78,15 +80,28 @@ def fit_profile(
       information criterion choose up to four.  Their interfaces stand in
       `metadata["interfaces_m"]`, the parameters are "Kd_<nm>_1" and so on downwards, and the
       quantity "Kd" is the mean over the depths that were used.
+    - `tolerance`: instead of a transport, the largest relative error of Ed that it may bring: the
+      cheapest that is good enough for the water found is taken, see `oceaninv.plan`; which, and
+      its predicted error, stand in `metadata["plan"]`.
 
     **Returns** a `Fit` with the quantity "Kd" at the profile's wavelengths (which mean it is
     stands in `metadata["kd_definition"]`); with a transport also Kd(490), c(550), bb(550) and
     a_cdm(440) of the water.
     """
-    if transport is not None and layers != 1:
+    if (transport is not None or tolerance is not None) and layers != 1:
         raise ValueError("layers apply to a fit of Kd alone; a transport fits one water.")
     job, definition = prepare(profile, depth_range, layers)
     (bands,) = fit_lanes([job])
+    if tolerance is not None:
+
+        def solve(rung, start):
+            metadata = _metadata(job, bands, definition) | {"transport": type(rung).__name__}
+            return _constituent_fit(profile, job.mask, bands, rung, priors, metadata, start)
+
+        def scene(fit):
+            return scene_at(fit.parameters, fit.x, profile.wavelength)
+
+        return fit_within(tolerance, transport, solve, scene, [Demand("irradiance")])
     if transport is None:
         if priors:
             raise ValueError("priors apply to a fit through a transport; Kd alone has none.")
@@ -271,13 +286,13 @@ def _model_ed(parameters: Parameters, grid, transport, x, depth):
 
 
 @kept
-def _solve_constituents(layout: Parameters, prior: Prior, grid, transport, cast: _Cast):
+def _solve_constituents(layout: Parameters, prior: Prior, grid, transport, cast: _Cast, start):
     def residual(x, cast):
         model = _model_ed(layout, grid, transport, x, cast.depth)
         data = jnp.where(cast.mask, (cast.Ed - model) / cast.sd, 0.0)
         return jnp.concatenate([data.reshape(-1), prior.residual(x)])
 
-    optimum = least_squares(residual, prior.centre, cast, prior.scale)
+    optimum = least_squares(residual, start, cast, prior.scale)
 
     def outcome(x):
         return water_quantities(layout.values(x), np.asarray(grid), transport)
@@ -288,7 +303,7 @@ def _solve_constituents(layout: Parameters, prior: Prior, grid, transport, cast:
     return optimum, covariance(optimum.jacobian), quantities, slopes, model
 
 
-def _constituent_fit(profile, mask, bands, transport, priors, metadata) -> Fit:
+def _constituent_fit(profile, mask, bands, transport, priors, metadata, start=None) -> Fit:
     parameters = _unknowns(profile, bands, priors)
     model = _band_model(profile, bands.x, np.zeros(0))
     extra = padded(len(profile.depth)) - len(profile.depth)
@@ -306,8 +321,10 @@ def _constituent_fit(profile, mask, bands, transport, priors, metadata) -> Fit:
         pad(mask, False),
     )
     grid = tuple(profile.wavelength.tolist())
+    prior = parameters.prior()
+    start = prior.centre if start is None else jax.device_put(start)
     optimum, cov, values, slopes, fitted = _solve_constituents(
-        parameters.layout(), parameters.prior(), grid, transport, cast
+        parameters.layout(), prior, grid, transport, cast, start
     )
     cov = np.asarray(cov)
     quantities, sensitivity = quantities_of(values, slopes, parameters, cov)

@@ -1,5 +1,6 @@
 """From spectra to channels: bands, camera responses, the standard observer, daylight."""
 
+import functools
 import re
 from typing import Any
 
@@ -91,7 +92,8 @@ class Response(Module):
         wavelengths (nm, concrete) and constant from the first and last to their outer band
         edges. What the response sees beyond these is left out: see `outside`.
         """
-        overlap = _hat_overlap(np.array(self.samples), tables.check_wavelength(wavelength))
+        grid = tables.check_wavelength(wavelength)
+        overlap = hat_overlap(self.samples, tuple(grid.tolist()))
         return _product(self.values, overlap)
 
     def smooth_weights(
@@ -149,8 +151,11 @@ def _product(values: Array, matrix: np.ndarray) -> Array:
     return jnp.matmul(values, jnp.asarray(matrix, values.dtype), precision="highest")
 
 
-def _hat_overlap(samples: np.ndarray, wavelength: np.ndarray) -> np.ndarray:
-    """Integrals of each sample's hat function times each band's, (sample, wl), nm."""
+@functools.lru_cache(maxsize=256)
+def hat_overlap(response_nm: tuple[float, ...], bands_nm: tuple[float, ...]) -> np.ndarray:
+    """Integrals of each sample's hat function times each band's, (sample, wl), nm; not to be
+    written to, for it is remembered."""
+    samples, wavelength = np.array(response_nm), np.array(bands_nm)
     edges = band_edges(wavelength)
     knots = np.unique(np.concatenate([samples, wavelength, edges[[0, -1]]]))
     low, high = max(samples[0], edges[0]), min(samples[-1], edges[-1])

@@ -59,6 +59,10 @@ def test_fit_photo_reports_intervals_on_the_real_frame(tmp_path, capsys):
         (["fit-profile", "nowhere.csv"], "nowhere.csv"),
         (["fit-profile", CAST, "--from", "400", "--to", "500"], "leaves 0 usable depths at 380 nm"),
         (["fit-profile", CAST, "--solar-zenith", "95"], "must lie in [0, 90)"),
+        (
+            ["fit-profile", CAST, "--tolerance", "0.1", "--transport", "two-stream"],
+            "--tolerance chooses the transport",
+        ),
         (["fit-photo", CAST, "--depth", "5"], "column 'kind'"),
         (["fit-photo", CAST, "--depth", "deep"], "--depth is 'deep'"),
         (["fit-photo", CAST, "--depth", "-3+-1"], "must be positive"),

@@ -110,9 +110,9 @@ def test_inelastic_terms_are_judged_one_by_one():
     inelastic = oi.Inelastic(raman=oi.Raman())
     scene = _scene(inelastic=inelastic)
     kept = oi.fidelity._terms.reduced_scene(scene, 0.002, "irradiance", None)
-    assert kept[1]["raman"].kept
+    assert kept[2]["raman"].kept
     blue = oi.fidelity._terms.reduced_scene(scene, 0.3, "radiance", 0.01)
-    assert not blue[1]["raman"].kept
+    assert not blue[2]["raman"].kept
     assert blue[0].inelastic is None
 
 

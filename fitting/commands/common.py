@@ -15,6 +15,12 @@ Output = Annotated[
 SolarZenith = Annotated[
     float | None, typer.Option(help="Sun zenith angle in air, degrees; unknown if not given.")
 ]
+Tolerance = Annotated[
+    float | None,
+    typer.Option(
+        help="Relative error that the model of the light may bring: chooses the cheapest such."
+    ),
+]
 
 
 def status(text: str):
@@ -49,6 +55,10 @@ def print_water(fit: "Fit") -> None:
             table.add_row(name, parameter.unit, *shown(fit.value[name], low, high, known))
             leans.add_row(name, _leaning(fit, name))
     Console().print(table, leans)
+    if "plan" in fit.metadata:
+        plan = fit.metadata["plan"]
+        error, asked = (f"{100 * plan[n]:.2g} %" for n in ("predicted_error", "tolerance"))
+        print(f"chosen: {plan['transport']}, predicted error {error}, asked {asked}")
     print(f"search: {fit.result}")
 
 

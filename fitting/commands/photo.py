@@ -5,7 +5,15 @@ from typing import Annotated
 
 import typer
 
-from fitting.commands.common import Output, SolarZenith, finish, preload, print_water, status
+from fitting.commands.common import (
+    Output,
+    SolarZenith,
+    Tolerance,
+    finish,
+    preload,
+    print_water,
+    status,
+)
 
 
 def fit_photo_command(
@@ -31,6 +39,7 @@ def fit_photo_command(
         float | None,
         typer.Option(help="Standard deviations beyond which a reading counts linearly."),
     ] = None,
+    tolerance: Tolerance = None,
     sample: Annotated[
         bool, typer.Option(help="Draw from the posterior (NUTS; minutes, needs blackjax).")
     ] = False,
@@ -48,7 +57,7 @@ def fit_photo_command(
     photo, clipped = read_photo(path, metres, relative, camera, solar_zenith, azimuth)
     preload()
     with status("fitting constituents (the first run compiles)"):
-        fit = fit_photo(photo, matrix=matrix, know=known, robust=robust)
+        fit = fit_photo(photo, matrix=matrix, know=known, robust=robust, tolerance=tolerance)
     if sample:
         with status("sampling the posterior (minutes)"):
             fit = draw(fit)

@@ -6,7 +6,15 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from fitting.commands.common import Output, SolarZenith, finish, preload, print_water, status
+from fitting.commands.common import (
+    Output,
+    SolarZenith,
+    Tolerance,
+    finish,
+    preload,
+    print_water,
+    status,
+)
 
 if TYPE_CHECKING:
     from fitting.archive import Task
@@ -33,8 +41,13 @@ def fit_profile_command(
     ] = "1",
     kd_only: Annotated[bool, typer.Option(help="Skip the fit of constituents.")] = False,
     transport: Annotated[
-        str, typer.Option(help="Model of the light for constituents: " + ", ".join(TRANSPORTS))
-    ] = "two-stream",
+        str | None,
+        typer.Option(
+            help=f"Model of the light for constituents: {', '.join(TRANSPORTS)}; "
+            "two-stream if neither it nor a tolerance is given."
+        ),
+    ] = None,
+    tolerance: Tolerance = None,
     know: Annotated[
         list[str] | None, typer.Option(help="What is known, as cdom=0.12+-0.01; repeatable.")
     ] = None,
@@ -62,7 +75,10 @@ def fit_profile_command(
 
     units = {} if unit is None else {kind: unit for kind in ("Ed", "Eu", "Lu")}  # noqa: C420
     reading = Reading(solar_zenith, units, _columns(columns), depth_offset, tilt_limit)
-    count, model, priors = _layers(layers), _transport(transport), _known(know or [])
+    if transport is not None and tolerance is not None:
+        raise ValueError("--tolerance chooses the transport: leave out it or --transport.")
+    count, priors = _layers(layers), _known(know or [])
+    model = {"transport": _transport(transport)} if tolerance is None else {"tolerance": tolerance}
     depth_range = None
     if low is not None or high is not None:
         depth_range = (low or 0.0, 1e5 if high is None else high)
@@ -77,7 +93,7 @@ def fit_profile_command(
     _fit_many(paths, Task(output or Path("kd"), reading, depth_range, count), cluster)
 
 
-def _fit_one(profile, path, output, depth_range, layers, kd_only, transport, priors) -> None:
+def _fit_one(profile, path, output, depth_range, layers, kd_only, model, priors) -> None:
     from fitting import fit_profile
     from fitting.report import picture, save
 
@@ -89,9 +105,7 @@ def _fit_one(profile, path, output, depth_range, layers, kd_only, transport, pri
     constituents = None
     if not kd_only:
         with status("fitting constituents (the first run compiles)"):
-            constituents = fit_profile(
-                profile, transport=transport, depth_range=depth_range, priors=priors
-            )
+            constituents = fit_profile(profile, depth_range=depth_range, priors=priors, **model)
     _print_kd(fit)
     if constituents is not None:
         print_water(constituents)
@@ -135,9 +149,10 @@ def _columns(text: str | None) -> dict[str, str]:
     return {ours.strip(): theirs.strip() for ours, _, theirs in pairs}
 
 
-def _transport(name: str):
+def _transport(name: str | None):
     import oceaninv as oi
 
+    name = "two-stream" if name is None else name
     if name not in TRANSPORTS:
         from oceaninv.tables import unknown
 

@@ -11,10 +11,11 @@ import functools
 from pathlib import Path
 from typing import NamedTuple
 
+import jax
 import numpy as np
 
 from oceaninv.iops import IOPs
-from oceaninv.phase import backscatter_ratio_of
+from oceaninv.phase import AbstractPhase, backscatter_ratio_of
 from oceaninv.scene import Scene
 
 DATA = Path(__file__).with_name("errors.csv")
@@ -52,11 +53,31 @@ def concrete(value, name: str) -> np.ndarray:
         ) from error
 
 
+class Look(NamedTuple):
+    """One water of a scene, and where it is looked at: (wl,) m, see `depths_of`."""
+
+    bands: Bands
+    at: np.ndarray
+
+    def of(self, pick: np.ndarray) -> "Look":
+        """Some of the bands."""
+        a, b, bb, cosine, sky, kd, light = self.bands
+        some = Bands(a[pick], b[pick], bb[pick], cosine, sky[pick], kd[pick], light[pick])
+        return Look(some, self.at[pick])
+
+
+def looks(scene: Scene, quantity: str, depth: float | None) -> list[Look]:
+    """One for each water of a scene."""
+    waters = (scene.water,) if isinstance(scene.water, IOPs) else scene.water.iops
+    parts = [bands_of(scene, water) for water in waters]
+    return [Look(bands, depths_of(bands, scene, quantity, depth)) for bands in parts]
+
+
 def bands_of(scene: Scene, water: IOPs) -> Bands:
     """The numbers that everything here is made of, in numpy: nothing to compile."""
     a = concrete(water.a_components, "the water").sum(axis=0)
     rows = concrete(water.b_components, "the water")
-    ratios = np.array([float(backscatter_ratio_of(p)) for p in water.phases])
+    ratios = np.array([_backscatter(phase) for phase in water.phases])
     b, bb = rows.sum(axis=0), ratios @ rows
     direct = concrete(scene.light.direct, "the light")
     cosine = float(np.cos(np.radians(concrete(scene.light.zenith, "the light"))))
@@ -76,6 +97,19 @@ def bands_of(scene: Scene, water: IOPs) -> Bands:
     near = (1.005 * a + 2.407 * bb) * steep
     deep = (1 + 0.634 * w) * np.sqrt(a * (a + 0.569 * w * a + 1.163 * bb + 0.032 * w * b))
     return Bands(a, b, bb, inside, share, np.maximum(0.5 * (near + deep), 1e-9), total)
+
+
+def _backscatter(phase: AbstractPhase) -> float:
+    leaves, tree = jax.tree.flatten(phase)
+    arrays = (concrete(leaf, "the phase functions") for leaf in leaves)
+    return _ratio(tree, tuple((array.shape, array.tobytes()) for array in arrays))
+
+
+@functools.lru_cache(maxsize=256)
+def _ratio(tree, leaves: tuple[tuple[tuple[int, ...], bytes], ...]) -> float:
+    """Backscatter ratio of a phase function taken apart: waters share them, choices recur."""
+    arrays = [np.frombuffer(content).reshape(shape) for shape, content in leaves]
+    return float(backscatter_ratio_of(jax.tree.unflatten(tree, arrays)))
 
 
 def floor_reach(bands: Bands, scene: Scene, depth: np.ndarray) -> np.ndarray:
@@ -119,6 +153,14 @@ def features(bands: Bands, scene: Scene, depth: np.ndarray) -> np.ndarray:
     return np.stack(rows, axis=1)
 
 
+View = tuple[Look, np.ndarray]  # and its features
+
+
+def views(scene: Scene, found: list[Look]) -> list[View]:
+    """Looks with their features, which are the same for every rung."""
+    return [(look, features(look.bands, scene, look.at)) for look in found]
+
+
 def depths_of(bands: Bands, scene: Scene, quantity: str, depth: float | None) -> np.ndarray:
     """(wl,) where the light is looked at, m: to the 1 % level or the floor, or the eye's depth."""
     deepest = LEVEL / bands.kd
@@ -159,13 +201,11 @@ def models() -> dict[tuple[str, str], Model]:
     return found
 
 
-def predicted(quantity: str, rung: str, scene: Scene, parts, depth, channels) -> float:
+def predicted(quantity: str, rung: str, views: list[View], channels) -> float:
     """The error that about 95 % of scenes like this one stay below; the worst of its layers."""
     model = models()[quantity, rung]
     worst = 0.0
-    for bands in parts:
-        at = depths_of(bands, scene, quantity, depth)
-        log_error = features(bands, scene, at) @ model.coefficients
-        scene_error = combine(log_error, bands, at, quantity, channels)
+    for (bands, at), rows in views:
+        scene_error = combine(rows @ model.coefficients, bands, at, quantity, channels)
         worst = max(worst, float(np.exp(np.clip(scene_error + model.margin, -16.0, 3.0))))
     return worst

@@ -10,7 +10,7 @@ from oceaninv.inelastic import Inelastic, sources
 from oceaninv.iops import IOPs, Layers
 from oceaninv.light import Light
 from oceaninv.scene import Floor, Scene
-from oceaninv.spectrum import Response
+from oceaninv.spectrum import Response, hat_overlap
 
 
 @dataclasses.dataclass(frozen=True)
@@ -24,34 +24,37 @@ class Term:
 
 def reduced_scene(
     scene: Scene, share: float, quantity: str, depth: float | None
-) -> tuple[Scene, dict[str, Term]]:
-    """The scene without what contributes less than `share`, and a term for each thing it has."""
+) -> tuple[Scene, list[errors.Look], dict[str, Term]]:
+    """The scene without what contributes less than `share`, how its waters are looked at, and a
+    term for each thing it has."""
     terms: dict[str, Term] = {}
     water = scene.water
     if isinstance(water, Layers):
         water, terms["layers"] = _merged(scene, water, share)
         scene = _with(scene, water=water)
-    waters = (water,) if isinstance(water, IOPs) else water.iops
-    parts = [errors.bands_of(scene, one) for one in waters]
-    at = [errors.depths_of(bands, scene, quantity, depth) for bands in parts]
+    found = errors.looks(scene, quantity, depth)
     if scene.floor is not None:
-        bound = max(map(lambda b, z: _floor_bound(b, z, scene, quantity), parts, at))
+        bound = max(_floor_bound(bands, at, scene, quantity) for bands, at in found)
         terms["floor"] = _judged("floor", bound, share)
     if scene.light.diffuse is not None:
-        bound = max(float(np.max(bands.sky)) for bands in parts)
+        bound = max(float(np.max(bands.sky)) for bands, _ in found)
         terms["sky"] = _judged("sky", bound, share)
     if scene.surface is not None:
         terms["surface"] = Term(True, 0.5, "surface: reflects half of the light from below, kept")
     inelastic = None
     if scene.inelastic is not None:
-        inelastic, found = _inelastic(scene.inelastic, waters[0], parts, at, share)
-        terms |= found
+        first = water if isinstance(water, IOPs) else water.iops[0]
+        inelastic, processes = _inelastic(scene.inelastic, first, found, share)
+        terms |= processes
     dropped = {name for name, term in terms.items() if not term.kept}
+    if not dropped - {"layers"}:
+        return scene, found, terms
     light = scene.light
     if "sky" in dropped:
         light = Light(light.zenith, light.direct)
     floor = None if "floor" in dropped else scene.floor
-    return _with(scene, light=light, floor=floor, inelastic=inelastic), terms
+    scene = _with(scene, light=light, floor=floor, inelastic=inelastic)
+    return scene, errors.looks(scene, quantity, depth), terms
 
 
 def _with(scene: Scene, **changes) -> Scene:
@@ -113,7 +116,7 @@ def _merged(scene: Scene, layers: Layers, share: float) -> tuple[IOPs | Layers, 
     return water, Term(False, bound, f"optical depths differ by {bound:.2g}, merged into one")
 
 
-def _inelastic(inelastic: Inelastic, water: IOPs, parts, at, share: float):
+def _inelastic(inelastic: Inelastic, water: IOPs, found: list[errors.Look], share: float):
     """The processes that add more than `share` to the downward light of some band."""
     kept, terms = {}, {}
     for name in ("raman", "chlorophyll", "cdom"):
@@ -121,7 +124,7 @@ def _inelastic(inelastic: Inelastic, water: IOPs, parts, at, share: float):
         if process is None:
             continue
         (matrix, _), *_ = sources(Inelastic(**{name: process}), water)
-        bound = max(map(lambda b, z: _emitted(np.asarray(matrix, float), b, z), parts, at))
+        bound = max(_emitted(np.asarray(matrix, float), bands, at) for bands, at in found)
         terms[name] = _judged(name, bound, share)
         if terms[name].kept:
             kept[name] = process
@@ -143,48 +146,51 @@ def _emitted(matrix: np.ndarray, bands: errors.Bands, depth: np.ndarray) -> floa
     return worst
 
 
-def reduced_bands(scene: Scene, share: float, response: Response, depth: float | None):
+def reduced_bands(scene: Scene, share: float, response: Response, look: errors.Look):
     """The fewest bands, evenly picked, that keep every channel within `share`.
 
-    Judged on a guess of the spectrum that is seen.  Returns the scene, the term and the
-    (channel, wl) weights of what is left.
+    Judged on a guess of the spectrum that is seen.  Returns the scene, the numbers of the bands
+    that are left, the term and the (channel, wl) weights.
     """
-    waters = (scene.water,) if isinstance(scene.water, IOPs) else scene.water.iops
-    bands = errors.bands_of(scene, waters[0])
-    at = errors.depths_of(bands, scene, "photograph", depth)
+    bands, at = look
     seen = bands.light * np.exp(-np.minimum(bands.kd * np.min(at), 50.0))
     seen = seen * bands.bb / np.maximum(bands.a + bands.bb, 1e-300)
-    wavelength = scene.wavelength
-    weights = np.asarray(response.weights(wavelength))
-    full, count = weights @ seen, len(wavelength)
-    for fewer in range(3, count):
+    wavelength, count = scene.wavelength, len(scene.wavelength)
+    weights = channel_weights(response, wavelength)
+    full = weights @ seen
+    # Inelastic light comes from bands that a camera may not see.
+    for fewer in range(3, count if scene.inelastic is None else 0):
         pick = np.unique(np.linspace(0, count - 1, fewer).round().astype(int))
-        try:
-            thin = np.asarray(response.weights(wavelength[pick]))
-        except ValueError:  # a response may want more bands than these
-            continue
+        thin = channel_weights(response, wavelength[pick])
         error = float(np.max(np.abs(thin @ seen[pick] / full - 1.0)))
-        if error <= share and scene.inelastic is None:
+        if error <= share:
             why = f"{len(pick)} of {count} change a channel by {100 * error:.2g} %"
-            return _picked(scene, pick), Term(False, error, why), thin
-    return scene, Term(True, 1.0, f"all {count} are needed"), weights
+            return _picked(scene, pick), pick, Term(False, error, why), thin
+    return scene, np.arange(count), Term(True, 1.0, f"all {count} are needed"), weights
+
+
+def channel_weights(response: Response, wavelength: np.ndarray) -> np.ndarray:
+    """(channel, wl) `response.weights`, without compiling."""
+    values = errors.concrete(response.values, "the camera's response")
+    return values @ hat_overlap(response.samples, tuple(wavelength.tolist()))
 
 
 def _picked(scene: Scene, pick: np.ndarray) -> Scene:
+    def thin(spectra):
+        return None if spectra is None else np.asarray(spectra)[..., pick]
+
     def water(one: IOPs) -> IOPs:
-        rows = (one.a_components[:, pick], one.b_components[:, pick])
+        rows = (thin(one.a_components), thin(one.b_components))
         return IOPs(one.wavelength[pick], *rows, one.phases, one.absorbers, one.scatterers)
 
     light = scene.light
-    diffuse = None if light.diffuse is None else light.diffuse[pick]
     floor = scene.floor
     if floor is not None:
-        floor = Floor(floor.depth, floor.reflectance[pick])
+        floor = Floor(floor.depth, thin(floor.reflectance))
     waters = scene.water
     if isinstance(waters, IOPs):
         waters = water(waters)
     else:
         waters = Layers(waters.interfaces, tuple(map(water, waters.iops)))
-    return _with(
-        scene, water=waters, light=Light(light.zenith, light.direct[pick], diffuse), floor=floor
-    )
+    light = Light(light.zenith, thin(light.direct), thin(light.diffuse), light.sky)
+    return _with(scene, water=waters, light=light, floor=floor)

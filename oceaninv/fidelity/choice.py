@@ -1,18 +1,20 @@
 """The cheapest model of a scene that is good enough, and why."""
 
 import dataclasses
+import functools
 from collections.abc import Mapping
 
 import numpy as np
 
 from oceaninv.camera import Camera
 from oceaninv.fidelity import _errors as errors
-from oceaninv.fidelity._terms import Term, reduced_bands, reduced_scene
+from oceaninv.fidelity._terms import Term, channel_weights, reduced_bands, reduced_scene
 from oceaninv.iops import IOPs
 from oceaninv.scene import Scene
-from oceaninv.spectrum import generic_camera
+from oceaninv.spectrum import Response, generic_camera
 from oceaninv.transport.base import AbstractTransport
 from oceaninv.transport.four_stream import FourStream
+from oceaninv.transport.monte_carlo import MonteCarlo
 from oceaninv.transport.plane_parallel import PlaneParallel
 from oceaninv.transport.two_stream import TwoStream
 
@@ -78,55 +80,109 @@ def plan(
     from those it is a guess.  If no rung promises the tolerance, the best is returned and `why`
     says so.
 
-    **Raises** ValueError for other arguments, for values that are traced, and for lamps or objects
-    while no transport can draw them.
+    **Raises** ValueError for other arguments and for values that are traced.
     """
+    if camera is not None:
+        depth = float(camera.position[2])
+    _check(quantity, depth, tolerance)
+    if scene.objects or scene.lamps:
+        return _traced(scene, tolerance)
+    lean, found, terms = reduced_scene(scene, tolerance / 5.0, quantity, depth)
+    channels = np.zeros((0, len(scene.wavelength)))
+    if quantity == "photograph":
+        response = _mean_camera() if camera is None else camera.response
+        lean, pick, terms["bands"], channels = reduced_bands(
+            lean, tolerance / 5.0, response, found[0]
+        )
+        found = [look.of(pick) for look in found]
+    spent = float(sum(term.bound for term in terms.values() if not term.kept))
+    views = errors.views(lean, found)
+    transport, error, tried = choose(lean, tolerance, quantity, views, channels, spent)
+    why = "; ".join([*(f"{name}: {term.why}" for name, term in terms.items()), *tried]) + "."
+    return Plan(transport, lean, lean.wavelength, terms, error, why)
+
+
+def expected_error(
+    scene: Scene,
+    transport: AbstractTransport,
+    quantity: str = "irradiance",
+    *,
+    depth: float | None = None,
+    response: Response | None = None,
+) -> float:
+    """What a rung of the ladder errs by on a scene, all of whose terms it keeps.
+
+    Arguments and meaning as of `plan`; `response`: of the camera of a photograph.
+    """
+    _check(quantity, depth)
+    name = rung(transport)
+    if (quantity, name) not in errors.models():
+        known = ", ".join(n for q, n in errors.models() if q == quantity)
+        raise ValueError(f"the errors of {name} are not known; those of {known} are.")
+    return errors.predicted(quantity, name, *_outlook(scene, quantity, depth, response))
+
+
+def sufficient(
+    scene: Scene,
+    tolerance: float,
+    quantity: str = "irradiance",
+    *,
+    depth: float | None = None,
+    response: Response | None = None,
+) -> tuple[AbstractTransport, float]:
+    """The cheapest rung for a scene of which nothing is left out, and its expected error.
+
+    `plan` for those who cannot change the scene, as a fit cannot.  Arguments as there; `response`:
+    of the camera of a photograph.
+    """
+    _check(quantity, depth, tolerance)
+    views, channels = _outlook(scene, quantity, depth, response)
+    return choose(scene, tolerance, quantity, views, channels)[:2]
+
+
+def _check(quantity: str, depth: float | None, tolerance: float = 0.5) -> None:
     if quantity not in QUANTITIES:
         raise ValueError(f"quantity is {quantity!r}; choose from {', '.join(QUANTITIES)}.")
     if not 0.0 < tolerance < 1.0:
         raise ValueError(f"tolerance is {tolerance}; it is a relative error between 0 and 1.")
-    if camera is not None:
-        depth = float(camera.position[2])
     if depth is not None and not (np.isfinite(depth) and depth >= 0):
         raise ValueError(f"depth is {depth}; it must be finite and at least 0 m.")
-    if scene.objects or scene.lamps:
-        return _traced(scene, tolerance)
-    response = (
-        (generic_camera() if camera is None else camera.response)
-        if (quantity == "photograph")
-        else None
-    )
-    lean, terms = reduced_scene(scene, tolerance / 5.0, quantity, depth)
+
+
+def _outlook(scene: Scene, quantity: str, depth: float | None, response: Response | None):
+    """A scene as the error models see it, and the weights of a photograph's channels."""
     channels = np.zeros((0, len(scene.wavelength)))
-    if response is not None:
-        lean, terms["bands"], channels = reduced_bands(lean, tolerance / 5.0, response, depth)
-    spent = float(sum(term.bound for term in terms.values() if not term.kept))
-    transport, error, tried = choose(lean, tolerance, quantity, depth, channels, spent)
-    why = "; ".join([*(f"{name}: {term.why}" for name, term in terms.items()), *tried]) + "."
-    return Plan(transport, lean, lean.wavelength, terms, error, why)
+    if quantity == "photograph":
+        response = _mean_camera() if response is None else response
+        channels = channel_weights(response, scene.wavelength)
+    return errors.views(scene, errors.looks(scene, quantity, depth)), channels
+
+
+@functools.cache
+def _mean_camera():
+    return generic_camera()
 
 
 def choose(
     scene: Scene,
     tolerance: float,
     quantity: str,
-    depth: float | None,
+    views: list[errors.View],
     channels: np.ndarray,
     spent: float = 0.0,
 ) -> tuple[AbstractTransport, float, list[str]]:
     """The first rung expected to keep the tolerance, its error, and what was said of each.
 
-    `channels`: (channel, wl) weights of a photograph; `spent`: what dropped terms took already.
+    `views`: the scene's waters as `errors.views` sees them; `channels`: (channel, wl) weights of a
+    photograph; `spent`: what dropped terms took already.
     """
-    waters = (scene.water,) if isinstance(scene.water, IOPs) else scene.water.iops
-    parts = [errors.bands_of(scene, water) for water in waters]
     tried, best = [], None
     for transport in FLUX_LADDER if quantity == "irradiance" else RADIANCE_LADDER:
         lacks = _lacks(transport, scene)
         if lacks:
             tried.append(f"{rung(transport)} does not solve {lacks}")
             continue
-        error = spent + errors.predicted(quantity, rung(transport), scene, parts, depth, channels)
+        error = spent + errors.predicted(quantity, rung(transport), views, channels)
         tried.append(f"{rung(transport)} errs by {100 * error:.2g} %")
         if error <= tolerance:
             return transport, error, tried
@@ -151,17 +207,13 @@ def _lacks(transport: AbstractTransport, scene: Scene) -> str:
         return "layers"
     if scene.inelastic is not None and not transport.inelastic:
         return "inelastic light"
+    if scene.light.sky is not None and not transport.any_sky:
+        return "skies that are not uniform"
     return ""
 
 
 def _traced(scene: Scene, tolerance: float) -> Plan:
     """Things and lamps need the tracer: paths until its random error is half the tolerance."""
-    try:
-        from oceaninv.transport.monte_carlo import MonteCarlo  # pyright: ignore
-    except ImportError:
-        raise ValueError(
-            "this scene has objects or lamps, and no transport at hand draws them: leave them out."
-        ) from None
     # One path's value scatters about as much as twice its mean.
     paths = 1 << int(np.clip(np.ceil(np.log2((4.0 / tolerance) ** 2)), 6, 24))
     kept = Term(True, float("inf"), "objects and lamps have no bound: they are kept")

@@ -1,11 +1,12 @@
 """Does `oceaninv.plan` keep its word?  Random scenes, every rung tried on each.
 
-    python -m tests.acceptance.plan [fit]
+    python -m tests.acceptance.plan fit
+    python -m tests.acceptance.plan
 
-Fits the error models on `TRAINING` scenes (with `fit`: writes oceaninv/fidelity/errors.csv), plans
-200 other scenes with them at tolerances of 10, 3 and 1 %, and compares with what each rung really
-errs by and costs.  Prints the table and writes plan.md beside this file.  Seeded; about ten minutes
-on two cores.
+The first fits the error models and their margins on `CALIBRATION` scenes and writes
+oceaninv/fidelity/errors.csv.  The second plans `TEST` scenes of another seed at tolerances of 10, 3
+and 1 %, compares with what each rung really errs by and costs, prints the table and writes plan.md
+beside this file.  Seeded; about ten minutes of one core each.
 """
 
 import sys

@@ -1,0 +1,95 @@
+"""Fits that choose their own transport: the cheapest that is good enough for the water found."""
+
+import dataclasses
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+
+import oceaninv as oi
+from fitting.parameters import Parameters, water_iops
+from fitting.posterior import Fit
+from oceaninv.fidelity import expected_error, sufficient
+from oceaninv.fidelity.choice import rung
+from oceaninv.transport.base import AbstractTransport
+
+
+class Demand(NamedTuple):
+    """What a transport must be good for: a quantity of `oceaninv.plan`, a depth and a camera."""
+
+    quantity: str
+    depth: float | None = None
+    response: oi.spectrum.Response | None = None
+
+
+def fit_within(
+    tolerance: float,
+    transport: AbstractTransport | None,
+    solve: Callable[[AbstractTransport, np.ndarray | None], Fit],
+    scene_of: Callable[[Fit], oi.Scene],
+    demands: Sequence[Demand],
+) -> Fit:
+    """A fit through a transport that errs by at most `tolerance`.
+
+    The water is found by the cheapest rung, the plan is made for it, and checked again at the
+    optimum of the planned rung: a dearer one follows where that is no longer enough.  Every search
+    begins where the last one ended.
+
+    **Arguments:** `solve`: of a transport and where to begin; `scene_of`: a fit's water and light.
+
+    **Raises** ValueError when a transport was given as well, and for a tolerance out of range.
+    """
+    if transport is not None:
+        raise ValueError(
+            f"both a transport ({type(transport).__name__}) and a tolerance were given: the "
+            "tolerance chooses the transport, leave one out."
+        )
+    if not 0.0 < tolerance < 1.0:
+        raise ValueError(f"tolerance is {tolerance}; it is a relative error between 0 and 1.")
+    here: AbstractTransport = oi.TwoStream()
+    fit, tried = solve(here, None), [rung(here)]
+    while True:
+        scene = scene_of(fit)
+        error = max(
+            expected_error(scene, here, quantity, depth=depth, response=response)
+            for quantity, depth, response in demands
+        )
+        if error <= tolerance:
+            break
+        # As many demands, as many answers: the dearest serves all.
+        better, _ = max(
+            (
+                sufficient(scene, tolerance, quantity, depth=depth, response=response)
+                for quantity, depth, response in demands
+            ),
+            key=_dearness,
+        )
+        if rung(better) in tried:  # the best there is
+            break
+        here = better
+        fit = solve(here, np.asarray(fit.x))
+        tried.append(rung(here))
+    plan = {
+        "transport": rung(here),
+        "tolerance": tolerance,
+        "predicted_error": error,
+        "tried": tried,
+        "kept": error <= tolerance,
+    }
+    return dataclasses.replace(fit, metadata={**fit.metadata, "plan": plan})
+
+
+def _dearness(found: tuple[AbstractTransport, float]) -> int:
+    transport = found[0]
+    if isinstance(transport, oi.PlaneParallel):
+        return transport.streams
+    return int(isinstance(transport, oi.FourStream))
+
+
+def scene_at(parameters: Parameters, x: np.ndarray, wavelength: np.ndarray, sun=None) -> oi.Scene:
+    """Water and light of a fit; `sun`: (wl,) its spectrum, even unless given."""
+    values = parameters.values(jnp.asarray(x))
+    sun = jnp.ones(len(wavelength)) if sun is None else jnp.asarray(sun)
+    zenith = float(np.minimum(values["solar_zenith"], 89.0))
+    return oi.Scene(water_iops(values, wavelength), oi.Light(zenith, sun), oi.FlatSurface())

@@ -1,0 +1,92 @@
+"""Fits that choose their transport by a tolerance."""
+
+import json
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import oceaninv as oi
+from fitting import fit_photo, fit_profile
+from fitting._planned import Demand, fit_within, scene_at
+from fitting.parameters import Parameter, Parameters, constituents
+from fitting.posterior import Fit, Predictive
+from oceaninv.fidelity import choice, sufficient
+from tests.test_photo import clean, fitted, photo
+from tests.test_profile import constituent_cast
+
+WAVELENGTH = oi.spectrum.bands(6)
+DEMAND = Demand("irradiance")
+
+
+def _stand_in(chlorophyll: float, transport) -> Fit:
+    unknowns = Parameters([*constituents(), Parameter("solar_zenith", 40.0, 0.1, nuisance=True)])
+    x = np.array([p.transform.coordinate(p.centre) for p in unknowns])
+    x[0] = np.log(chlorophyll)
+    name = type(transport).__name__
+    one = np.ones((1, 1))
+    nothing = Predictive(one, one, one, ("depth", "wavelength"), "1")
+    return Fit(unknowns, x, np.eye(4), {}, WAVELENGTH, "", nothing, {"transport": name})
+
+
+def _scene(fit):
+    return scene_at(fit.parameters, fit.x, WAVELENGTH)
+
+
+def test_the_plan_follows_the_water_that_is_found():
+    """Clear water to begin with, murky at the first optimum: the check asks for a dearer rung."""
+    starts = []
+
+    def solve(transport, start):
+        starts.append(None if start is None else np.exp(start[0]))
+        return _stand_in(0.03 if start is None else 20.0, transport)
+
+    fit = fit_within(0.03, None, solve, _scene, [DEMAND])
+    plan = fit.metadata["plan"]
+    assert plan["tried"][0] == "TwoStream()"
+    assert len(plan["tried"]) > 1
+    assert starts[:2] == [None, pytest.approx(0.03)]
+    assert plan["kept"]
+    assert plan["predicted_error"] <= 0.03
+    chosen, error = sufficient(_scene(fit), 0.03)
+    ladder = [choice.rung(t) for t in choice.FLUX_LADDER]
+    assert ladder.index(plan["transport"]) >= ladder.index(choice.rung(chosen))
+    assert error <= 0.03
+
+
+def test_a_tolerance_that_nothing_keeps_ends_with_the_best_rung_and_says_so():
+    fit = fit_within(1e-6, None, lambda t, _: _stand_in(20.0, t), _scene, [DEMAND])
+    assert not fit.metadata["plan"]["kept"]
+    assert fit.metadata["plan"]["predicted_error"] > 1e-6
+
+
+@pytest.mark.slow
+def test_one_search_is_enough_where_the_cheapest_rung_is():
+    fit = fit_photo(photo(clean()), tolerance=0.9)
+    assert fit.metadata["plan"]["tried"] == ["TwoStream()"]
+    np.testing.assert_allclose(fit.x, fitted().x, atol=1e-9)
+    assert json.loads(fit.to_xarray().attrs["metadata"])["plan"]["tolerance"] == 0.9
+
+
+def test_a_transport_and_a_tolerance_exclude_each_other():
+    for fit in (lambda **more: fit_photo(photo(), transport=oi.TwoStream(), **more),
+                lambda **more: fit_profile(constituent_cast(np.array([490.0, 510.0, 532.0]))[1],
+                                           transport=oi.TwoStream(), **more)):  # fmt: skip
+        with pytest.raises(ValueError, match="leave one out"):
+            fit(tolerance=0.1)
+    with pytest.raises(ValueError, match="between 0 and 1"):
+        fit_photo(photo(), tolerance=1.5)
+
+
+@pytest.mark.slow
+def test_the_planned_fit_is_that_of_its_transport():
+    profile = constituent_cast(WAVELENGTH)[1]
+    planned = fit_profile(profile, tolerance=0.03)
+    assert planned.metadata["plan"]["kept"]
+    name = planned.metadata["plan"]["transport"]
+    assert name != "TwoStream()"
+    (transport,) = (t for t in choice.FLUX_LADDER if choice.rung(t) == name)
+    straight = fit_profile(profile, transport=transport)
+    apart = (planned.x - straight.x) / np.sqrt(np.diag(straight.covariance))
+    assert np.max(np.abs(apart)) < 0.02
+    assert jnp.isfinite(planned.x).all()
