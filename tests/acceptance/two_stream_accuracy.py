@@ -1,4 +1,4 @@
-"""Accuracy of the closed forms against exact discrete ordinates, over natural waters.
+"""Radiance of the closed forms against exact discrete ordinates, over natural waters.
 
     python -m tests.acceptance.two_stream_accuracy
 
@@ -8,6 +8,7 @@ Prints the table and writes it beside this file (two_stream_accuracy.md).  Deter
 Cases: Jerlov IB, II, III, 3C (Solonenko & Mobley 2015) at 450, 515, 580, 640 nm; Henyey-Greenstein
 0.8 and 0.924 and Petzold; sun 0, 30, 60 degrees in air; a flat surface n = 1.34 or none; endless or
 over a floor of reflectance 0.3 at 15 m; eye at 3 and 9 m; ten view zeniths, four azimuths.
+Irradiance: two_stream_irradiance.py.
 """
 
 import functools
@@ -182,35 +183,14 @@ def _both(this, transport):
     return whole, oi.radiance(this, rays(RANGE), transport).value
 
 
-@functools.partial(jax.jit, static_argnames="transport")
-def _levels(this, depths, transport):
-    """Irradiance of water i at its own depths: (depth, wl) in and out."""
-
-    def column(depth):
-        return tuple(
-            x.value
-            for x in jax.tree.leaves(
-                oi.irradiance(this, depth, transport), is_leaf=lambda x: isinstance(x, oi.Estimate)
-            )
-        )
-
-    every = jax.vmap(column, in_axes=1, out_axes=2)(depths)
-    return tuple(jnp.stack([x[:, i, i] for i in range(depths.shape[1])], axis=1) for x in every)
-
-
 def closed_forms(setting, truth):
     """Values of the closed forms for one setting; `truth`: exact results of its waters."""
     this = scene(setting)
     shape = (len(DEPTHS), -1, len(truth))
     whole, near = _both(this, oi.TwoStream())
-    levels = jnp.asarray(np.stack([t["levels"] for t in truth], axis=1))
-    Ed, Eu, E0 = _levels(this, levels, oi.TwoStream())
     out = {
         "whole": np.asarray(whole).reshape(shape),
         "near": np.asarray(near).reshape(shape),
-        "Ed": np.asarray(Ed),
-        "Eu": np.asarray(Eu),
-        "E0": np.asarray(E0),
     }
     if setting[3] is None and not setting[4]:
         out["kd lee"] = np.asarray(_both(this, oi.KdTransport())[0]).reshape(shape)
@@ -218,7 +198,6 @@ def closed_forms(setting, truth):
         measured = measured / (DEPTHS[1] - DEPTHS[0])
         given = jax.jit(lambda kd: oi.radiance(this, rays(), oi.KdTransport(kd)).value)
         out["kd given"] = np.asarray(given(jnp.asarray(measured))).reshape(shape)
-        out["kd Ed"] = np.asarray(_levels(this, levels, oi.KdTransport())[0])
         out["printed whole"] = _printed(this, setting, truth, np.inf).reshape(shape)
         out["printed near"] = _printed(this, setting, truth, RANGE).reshape(shape)
     return out
@@ -286,15 +265,6 @@ def _where(results, keep, key="whole", angle=(20.0, 181.0), pick=None):
     return out
 
 
-def _flux(results, keep, key, model_key=None):
-    """Relative errors of an irradiance down to the 1 % level."""
-    out = []
-    for setting, truth, model in results:
-        if keep(setting) and (model_key or key) in model:
-            out.append(model[model_key or key] / np.stack([t[key] for t in truth], axis=1) - 1)
-    return out
-
-
 def table(results):
     """The report, as markdown."""
     sun_only = lambda s: not s[4]  # noqa: E731
@@ -344,14 +314,6 @@ def table(results):
     )
     rows.append(_row(f"TwoStream over {RANGE:g} m", _where(results, deep, "near")))
     rows.append(_row(f"printed closure over {RANGE:g} m", _where(results, deep, "printed near")))
-    rows += ["\n## Irradiance to the 1 % level, |relative error|\n", head]
-    for key in ("Ed", "Eu", "E0"):
-        rows.append(_row(f"TwoStream {key}, sun only", _flux(results, sun_only, key)))
-        rows.append(_row("... deep", _flux(results, deep, key)))
-        floored = lambda s: s[3] is not None and not s[4]  # noqa: E731
-        rows.append(_row("... floor", _flux(results, floored, key)))
-        rows.append(_row("... 30 % sky", _flux(results, lambda s: s[4], key)))
-    rows.append(_row("KdTransport Ed (Lee et al. 2005)", _flux(results, deep, "Ed", "kd Ed")))
     return "\n".join(rows)
 
 
