@@ -38,6 +38,7 @@ from oceaninv.scene import FlatSurface, Floor, Scene
 from oceaninv.scene_file import SceneFile, load_scene
 from oceaninv.transport import apparent
 from oceaninv.transport.base import Estimate, Irradiance
+from oceaninv.transport.energy import EnergyBudget, energy_budget
 from oceaninv.transport.four_stream import FourStream
 from oceaninv.transport.front import irradiance, photograph, radiance
 from oceaninv.transport.kd import KdTransport
@@ -56,6 +57,7 @@ __all__ = [
     "ChlorophyllFluorescence",
     "Constituents",
     "Detritus",
+    "EnergyBudget",
     "Estimate",
     "FlatSurface",
     "Floor",
@@ -85,6 +87,7 @@ __all__ = [
     "TwoStream",
     "apparent",
     "attenuation",
+    "energy_budget",
     "gutierrez2008",
     "inelastic",
     "irradiance",

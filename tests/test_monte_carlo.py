@@ -1,5 +1,10 @@
 """MonteCarlo: exact values and derivatives within their own standard errors; samplers; limits."""
 
+import os
+import subprocess
+import sys
+from pathlib import Path
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -38,23 +43,24 @@ def within(found, exact, few: bool = True) -> None:
         assert (stderr < 0.2 * np.abs(exact) + 1e-12).all()
 
 
-def nadir(p, dtype=jnp.float64):
-    """The camera that looks straight down from above: p = a, b, g, floor, depth."""
+def nadir(p, dtype=jnp.float64, zenith=0.0):
+    """The camera that looks straight down from above: p = a, b, g and the floor's reflectance."""
     one = jnp.ones(1, dtype)
     water = oi.IOPs([500.0], p[0] * one, p[1] * one, HenyeyGreenstein(p[2]))
-    return oi.Scene(water, oi.Light(A(0.0, dtype), one), floor=oi.Floor(10.0, p[3] * one))
+    return oi.Scene(water, oi.Light(A(zenith, dtype), one), floor=oi.Floor(10.0, p[3] * one))
 
 
-def down(dtype=jnp.float64):
-    return oi.Rays(jnp.zeros(3, dtype), A([[0.0, 0.0, 1.0]], dtype))
+def down(dtype=jnp.float64, depth=0.0):
+    return oi.Rays(A([0.0, 0.0, 1.0], dtype) * depth, A([[0.0, 0.0, 1.0]], dtype))
 
 
 @jax.jit
-def nadir_groups(p, key):
+def nadir_groups(p, key, zenith=0.0, depth=0.0):
     """Value, standard error, bias and Jacobian of the nadir radiance."""
 
     def value(p):
-        found = oi.radiance(nadir(p, p.dtype), down(p.dtype), oi.MonteCarlo(2**13, 32), key=key)
+        scene, rays = nadir(p, p.dtype, zenith), down(p.dtype, depth)
+        found = oi.radiance(scene, rays, oi.MonteCarlo(2**13, 32), key=key)
         return found.value[0, 0], found
 
     jacobian, found = jax.jacfwd(value, has_aux=True)(p)
@@ -89,14 +95,19 @@ EXTREMES = {
     "vacuum": (0.0, 0.0, 0.8, 0.3),
     "peaked": (0.1, 0.5, 0.99, 1.0),
     "backward": (0.1, 0.5, -0.9, 0.0),
+    "horizon": (0.1, 0.5, 0.9, 0.3),
+    "at the floor": (0.1, 0.5, 0.9, 0.3),
 }
+PLACES = {"horizon": (89.9, 0.0), "at the floor": (30.0, 10.0)}
 
 
 @pytest.mark.parametrize("dtype", [jnp.float64, pytest.param(jnp.float32, marks=pytest.mark.slow)])
 def test_extremes_are_finite(dtype):
-    """Value, stderr and every derivative, from optical thickness 1e-3 to 1e3."""
+    """Value, stderr and every derivative, from optical thickness 1e-3 to 1e3, albedo to 0.999999,
+    g to 0.99, the sun to the horizon; the eye at the surface and at the floor."""
     for name, p in EXTREMES.items():
-        value, stderr, bias, jacobian = nadir_groups(A(p, dtype), jax.random.key(1))
+        place = (A(v, dtype) for v in PLACES.get(name, (0.0, 0.0)))
+        value, stderr, bias, jacobian = nadir_groups(A(p, dtype), jax.random.key(1), *place)
         assert value.dtype == jacobian.dtype == stderr.dtype == dtype
         numbers = np.array([value, stderr, *jacobian])
         assert np.isfinite(numbers).all(), (name, numbers)
@@ -171,6 +182,43 @@ def test_chunks_do_not_matter(layered, monkeypatch):
     np.testing.assert_allclose(found.stderr, layered.stderr, rtol=1e-9)
 
 
+_ON_DEVICES = """
+import jax, numpy as np
+jax.config.update("jax_enable_x64", True)
+import jax.numpy as jnp
+import oceaninv as oi
+from tests.test_monte_carlo import down, nadir
+scene, done = nadir(jnp.asarray([0.065, 0.178, 0.8, 0.3])), []
+mc = oi.MonteCarlo(33 * 32, 8, progress=lambda i, n: done.append((int(i), int(n))))
+seen = oi.radiance(scene, down(), mc, key=jax.random.key(1))
+light = oi.irradiance(scene, jnp.asarray([1.0, 5.0]), mc, key=jax.random.key(1))
+jax.effects_barrier()
+numbers = [seen.value, seen.stderr, light.Eu.value, light.E0.stderr]
+print(jax.local_device_count(), *np.concatenate([np.ravel(v) for v in numbers]).tolist())
+assert sorted(done) == sorted(2 * [(i, done[0][1]) for i in range(done[0][1])]), done
+"""
+
+
+def test_devices_do_not_matter():
+    """One device and two: the same walks, and every chunk is told of once."""
+    found = {}
+    for count in (1, 2):
+        flags = f"--xla_force_host_platform_device_count={count}"
+        done = subprocess.run(
+            [sys.executable, "-c", _ON_DEVICES],
+            cwd=Path(__file__).parents[1],
+            env=os.environ | {"XLA_FLAGS": flags, "JAX_PLATFORMS": "cpu"},
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        assert done.returncode == 0, done.stderr[-2000:]
+        devices, *numbers = map(float, done.stdout.split())
+        assert devices == count
+        found[count] = numbers
+    np.testing.assert_allclose(found[2], found[1], rtol=1e-12)
+
+
 @pytest.mark.slow
 def test_frozen_walks_are_smooth_in_the_water():
     """Reverse mode is forward mode, and both are the differences of one set of walks."""
@@ -199,6 +247,31 @@ def test_frozen_walks_serve_other_waters():
         assert (frozen.reuse(scene, rays, jax.random.key(4)) > 0.5).all()
     with pytest.warns(UserWarning, match="freeze the transport again"):
         frozen.reuse(nadir(p * A([0.05, 0.05, 1.0, 1.0])), rays, jax.random.key(4))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("dtype", [jnp.float64, jnp.float32])
+def test_extreme_irradiances_are_finite(dtype):
+    """Ed, Eu, E0, their errors and derivatives, at the surface and at the floor."""
+    key = jax.random.key(2)
+
+    @jax.jit
+    def fluxes(p, zenith):
+        def value(p):
+            scene, depths = nadir(p, p.dtype, zenith), A([0.0, 10.0], p.dtype)
+            found = oi.irradiance(scene, depths, oi.MonteCarlo(2**10, 32), key=key)
+            parts = found.Ed, found.Eu, found.E0
+            return jnp.stack([f.value for f in parts]), jnp.stack([f.stderr for f in parts])
+
+        jacobian, stderr = jax.jacfwd(value, has_aux=True)(p)
+        return value(p)[0], stderr, jacobian
+
+    for name, p in EXTREMES.items():
+        zenith = A(PLACES.get(name, (0.0, 0.0))[0], dtype)
+        numbers = fluxes(A(p, dtype), zenith)
+        assert all(np.isfinite(np.asarray(n)).all() for n in numbers), name
+        assert all(n.dtype == dtype for n in numbers)
+        assert (numbers[0] >= 0).all()
 
 
 @pytest.mark.parametrize(

@@ -75,8 +75,30 @@ def test_derivatives_are_those_of_the_closed_form(isotropic):
     np.testing.assert_allclose(jax.jacfwd(value)(a), jax.jacfwd(closed)(a), rtol=0.15)
 
 
-def test_irradiance_of_inelastic_light_is_refused():
-    with pytest.raises(ValueError, match="take PlaneParallel"):
-        oi.irradiance(
-            raman_water([0.05, 0.25], 0.1, 0.8), A([1.0]), oi.MonteCarlo(32), key=jax.random.key(0)
-        )
+@pytest.fixture(scope="module")
+def lit():
+    """A scattering sea over a floor, sun and sky, under a surface."""
+    one = jnp.ones(2)
+    water = oi.IOPs(WAVELENGTH, A([0.05, 0.25]), A([0.3, 0.25]), HenyeyGreenstein(0.8))
+    light = oi.Light(30.0, one, 0.1 * one)
+    floor = oi.Floor(6.0, 0.3 * one)
+    return oi.Scene(water, light, oi.FlatSurface(1.34), floor, inelastic=Inelastic(Raman(2.6e-2)))
+
+
+@pytest.mark.parametrize("generations", [1, pytest.param(2, marks=pytest.mark.slow)])
+def test_irradiance_against_the_exact_one(lit, generations):
+    """Raman light a hundred times as strong as it is: Ed, Eu and E0 at three depths."""
+    depths = A([0.0, 2.0, 6.0])
+    transport = oi.MonteCarlo(2**13, 24, generations=generations)
+    found = oi.irradiance(lit, depths, transport, key=jax.random.key(3))
+    exact = oi.irradiance(lit, depths, oi.PlaneParallel(16, generations=generations))
+    for name in ("Ed", "Eu", "E0"):
+        own, value = getattr(found, name), np.asarray(getattr(exact, name).value)
+        z = (np.asarray(own.value) - value) / np.asarray(own.stderr)
+        assert np.abs(z).max() < 3.5, (name, z)
+        assert np.median(np.asarray(own.stderr)[:, 1] / value[:, 1]) < 0.05
+
+
+def test_radiance_of_a_second_change_is_refused(lit):
+    with pytest.raises(ValueError, match="take generations=1"):
+        oi.radiance(lit, looking_down(1.0), oi.MonteCarlo(32, generations=2), key=jax.random.key(0))

@@ -65,6 +65,49 @@ def test_sphere_shadow_and_lamp_in_clear_water():
     np.testing.assert_allclose(found[0], 0.4 / np.pi * arriving * np.exp(-4 * a), rtol=1e-9)
 
 
+def test_height_fields_are_floors_and_slopes():
+    """Flat, a height field is a floor; on a slope the sun falls in at an angle; and a hill's
+    shadow is dark."""
+    x = np.tile(np.arange(-8, 9), (17, 1))
+    ramp, flat = 5.0 + 0.5 * x, 5.0 + 0.0 * x
+    rays = oi.Rays(A([[0.25, 0.5, 0.5]]), A([[0.0, 0.0, 1.0]]))
+    mc = oi.MonteCarlo(32, 1)
+
+    def seen(depth, light):
+        field = oi.HeightField(depth, -8.0, -8.0, 1.0, 0.4 * ONE)
+        scene = oi.Scene(water([0.0, 0.0]), light, objects=(field,))
+        return np.asarray(oi.radiance(scene, rays, mc, key=KEY).value[0])
+
+    sun = oi.Light(0.0, ONE)
+    plain = oi.Scene(water([0.0, 0.0]), sun, floor=oi.Floor(5.0, 0.4 * ONE))
+    np.testing.assert_allclose(
+        seen(flat, sun), oi.radiance(plain, rays, mc, key=KEY).value[0], rtol=1e-9
+    )
+    a, depth = np.array([0.05, 0.1]), 5.0 + 0.5 * 0.25
+    expected = 0.4 / np.pi / np.sqrt(1.25) * np.exp(-a * (2 * depth - 0.5))
+    np.testing.assert_allclose(seen(ramp, sun), expected, rtol=1e-9)
+    # Light at 60 degrees travels towards -x, along the slope's rise of depth: from behind a wall.
+    wall = np.where(x >= 3, 1.0, 5.0)
+    assert (seen(wall, oi.Light(60.0, ONE)) == 0).all()
+    assert (seen(wall[:, ::-1], oi.Light(60.0, ONE)) > 0).all()
+
+
+@pytest.mark.slow
+def test_a_flat_height_field_in_scattering_water():
+    """Against the exact radiance over a floor, under a surface and a sky."""
+    light = oi.Light(30.0, ONE, 0.05 * ONE)
+    rays = oi.Rays(A([0.0, 0.0, 1.0]), A([[0.0, 0.0, 1.0], [0.6, 0.0, 0.8]]))
+    field = oi.HeightField(np.full((3, 3), 5.0), -1e3, -1e3, 1e3, 0.4 * ONE)
+    scattering, surface = water([0.1, 0.15]), oi.FlatSurface(1.34)
+    scene = oi.Scene(scattering, light, surface, objects=(field,))
+    found = oi.radiance(scene, rays, oi.MonteCarlo(2**11, 16), key=KEY)
+    floored = oi.Scene(scattering, light, surface, oi.Floor(5.0, 0.4 * ONE))
+    exact = oi.radiance(floored, rays, oi.PlaneParallel(16)).value
+    z = np.asarray((found.value - exact) / found.stderr)
+    assert np.abs(z).max() < stats.norm.isf(0.001), z
+    assert (found.stderr < 0.05 * exact).all()
+
+
 def test_spot_lamp_scatters_once():
     """A beam across the line of sight, in water so thin that light scatters once:
     the closed form by quadrature, within the stated error."""

@@ -79,13 +79,13 @@ def radiance(
     lit = scene.floor is not None or scene.objects
     bounded = lit or scene.light.diffuse is not None
 
-    def each_lane(before, ahead, after, vertex):
+    def each_lane(world, before, ahead, after, vertex):
         found = _scattered(scene, world, before, after, vertex)
         return found + _boundary(scene, world, before, ahead) if bounded else found
 
-    def score(before, ahead, after, vertex, t):
+    def score(world, before, ahead, after, vertex, t):
         del t
-        return jnp.sum(each_lane(before, ahead, after, vertex), axis=1)
+        return jnp.sum(each_lane(world, before, ahead, after, vertex), axis=1)
 
     def stand(unit):
         ray = (unit // jnp.uint32(groups)).astype(jnp.int32)
@@ -99,14 +99,15 @@ def radiance(
         return _walks.standing(world.domain, position, direction, _walks.carried(scene), limit)
 
     def elastic(unit):
-        return _walks.walk(world, stand(unit), unit, plan, score, (len(unit), bands))
+        blank = jnp.zeros((len(unit), bands), scene.light.direct.dtype)
+        return _walks.walk(world, stand(unit), unit, plan, score, blank)[0]
 
     def inelastic(unit):
         return shifted(scene, world, stand, each_lane, plan, unit)
 
     found = []
     for run in (elastic,) if scene.inelastic is None else (elastic, inelastic):
-        sums = _walks.in_chunks(run, count * groups)
+        sums = _walks.in_chunks(run, count * groups, plan.progress)
         sums = tuple(v.reshape(count, groups, bands).swapaxes(0, 1) for v in sums)
-        found.append(_walks.estimate(sums, scene, plan.bounces))
+        found.append(_walks.estimate(sums, scene, plan))
     return _walks.summed(found)

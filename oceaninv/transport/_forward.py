@@ -1,5 +1,7 @@
 """Walks from the light into the water: irradiances at depths."""
 
+from typing import NamedTuple
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -10,14 +12,25 @@ from oceaninv._numerics import safe_sqrt
 from oceaninv.optics import fresnel_from_air, refracted_cosine
 from oceaninv.scene import Scene
 from oceaninv.transport import _paths, _walks, _weights
+from oceaninv.transport._converted import coloured, converted
 from oceaninv.transport._guard import fixed, fixed_scene
-from oceaninv.transport._paths import Proposal
-from oceaninv.transport._sampling import uniforms
+from oceaninv.transport._paths import Lanes, Proposal
+from oceaninv.transport._sampling import evened, uniforms
 from oceaninv.transport._walks import GROUP, Plan, World
 from oceaninv.transport.base import Estimate
 
+_EVEN = 1e-9  # X
+_STRETCH = 0.0  # X
 _GRAZING = 0.01  # below this cosine, 1/cosine counts as its mean over the band, 2/0.01
 _SKY = 0x51ED270B  # sets the draws of the sky's directions apart
+
+
+def onward(scene: Scene, proposal: Proposal | None) -> Proposal:
+    """The proposal made fit for walks that come from above and are wanted everywhere."""
+    proposal = _weights.propose(scene) if proposal is None else proposal
+    stretch = jnp.asarray(_STRETCH, proposal.rate.dtype)
+    tables = evened(proposal.tables, _EVEN)
+    return Proposal(proposal.rate, tables, proposal.floor, proposal.things, stretch)
 
 
 def _from_sky(world: World, unit: UInt32[Array, " unit"]):
@@ -49,38 +62,100 @@ def _crossing(world: World, depth: Array, before, ahead, weight):
     return jnp.einsum("ukl,ulw->ukw", kinds, reaching)
 
 
-def _sums(scene: Scene, world: World, depths: Array, plan: Plan, cosine: Array, groups: int):
-    """Group sums for unit flux on the surface, (unit, depth, 3, wl), in all and late: `groups` of
-    the sun, then as many of the sky where there is one."""
-    sky = scene.light.diffuse is not None
-    at_depths = jax.vmap(_crossing, (None, 0, None, None, None), 1)
+_at_depths = jax.vmap(_crossing, (None, 0, None, None, None), 1)
+
+
+class Entry(NamedTuple):
+    """What enters the water: the cosine of the sunbeam, and the flux of each source, (wl,), of
+    which the first is the sun's."""
+
+    cosine: Array
+    fluxes: tuple[Array, ...]
+
+
+def entry(scene: Scene) -> Entry:
+    """Sun and, where there is one, sky: the latter's flux as it is above the surface."""
+    cosine, sun = scene.beam()
+    cosine = jax.lax.stop_gradient(cosine)
+    fluxes = (sun * cosine,)
+    if scene.light.diffuse is not None:
+        fluxes = (*fluxes, scene.light.diffuse * np.pi)
+    return Entry(cosine, fluxes)
+
+
+def enter(
+    world: World, entry: Entry, unit: UInt32[Array, " unit"], groups: int, bands: int | None
+) -> tuple[Lanes, Array, Array]:
+    """Walks just below the surface, for unit flux: `groups` of the sun, then as many of the sky.
+    With them whether they are the sun's, (unit, 1), and their spectra, (unit, wl)."""
+    shape, cosine = (len(unit), GROUP), entry.cosine
+    level = -safe_sqrt(1.0 - cosine**2)
+    beam = (level, jnp.zeros_like(level), cosine)
+    direction = tuple(jnp.broadcast_to(part, shape) for part in beam)
+    weight, sunlit = jnp.ones(shape, cosine.dtype), jnp.ones((len(unit), 1), bool)
+    spectrum = jnp.broadcast_to(entry.fluxes[0], (len(unit), *entry.fluxes[0].shape))
+    if len(entry.fluxes) > 1:
+        sunlit = (unit < groups)[:, None]
+        other, through = _from_sky(world, unit)
+        direction = tuple(jnp.where(sunlit, s, o) for s, o in zip(direction, other, strict=True))
+        weight = jnp.where(sunlit, weight, through)
+        spectrum = jnp.where(sunlit, *(flux[None, :] for flux in entry.fluxes))
+    position = (jnp.zeros(shape, cosine.dtype),) * 3
+    lanes = _walks.standing(world.domain, position, direction, bands)
+    return lanes._replace(weight=weight), sunlit, spectrum
+
+
+def split(sums, entry: Entry, groups: int) -> list:
+    """Sums (unit, ...) of the walks of each source."""
+    return [
+        jax.tree.map(lambda v, i=i: v[i * groups : (i + 1) * groups], sums)
+        for i in range(len(entry.fluxes))
+    ]
+
+
+def _elastic(scene: Scene, world: World, depths: Array, plan: Plan, entry: Entry, groups: int):
+    """Group sums for unit flux on the surface, (unit, depth, 3, wl), in all and late."""
 
     def run(unit):
-        shape = (len(unit), GROUP)
-        level = -safe_sqrt(1.0 - cosine**2)
-        beam = (level, jnp.zeros_like(level), cosine)
-        direction = tuple(jnp.broadcast_to(part, shape) for part in beam)
-        weight, sunlit = jnp.ones(shape, cosine.dtype), jnp.ones((len(unit), 1), bool)
-        if sky:
-            sunlit = (unit < groups)[:, None]
-            other, through = _from_sky(world, unit)
-            pairs = zip(direction, other, strict=True)
-            direction = tuple(jnp.where(sunlit, s, o) for s, o in pairs)
-            weight = jnp.where(sunlit, weight, through)
+        lanes, sunlit, _ = enter(world, entry, unit, groups, _walks.carried(scene))
 
-        def score(before, ahead, after, vertex, t):
+        def score(world, before, ahead, after, vertex, t):
             del after, vertex
             # The sunbeam itself is added in closed form.
             new = jnp.where((t == 0) & sunlit, 0.0, before.weight)
-            return at_depths(world, depths, before, ahead, new)
+            return _at_depths(world, depths, before, ahead, new)
 
-        position = (jnp.zeros(shape, cosine.dtype),) * 3
-        lanes = _walks.standing(world.domain, position, direction, _walks.carried(scene))
-        lanes = lanes._replace(weight=weight)
-        sums = (len(unit), depths.shape[0], 3, len(scene.wavelength))
-        return _walks.walk(world, lanes, unit, plan, score, sums)
+        shape = (len(unit), depths.shape[0], 3, len(scene.wavelength))
+        blank = jnp.zeros(shape, lanes.weight.dtype)
+        return _walks.walk(world, lanes, unit, plan, score, blank)[0]
 
-    return _walks.in_chunks(run, groups * (2 if sky else 1))
+    return _walks.in_chunks(run, groups * len(entry.fluxes), plan.progress)
+
+
+def _inelastic(
+    scene: Scene,
+    world: World,
+    depths: Array,
+    plan: Plan,
+    entry: Entry,
+    groups: int,
+    generations: int,
+):
+    """The same, of light that has changed its wavelength, for the fluxes that there are."""
+    bands = len(scene.wavelength)
+
+    def run(unit):
+        lanes, _, spectrum = enter(world, entry, unit, groups, None)
+        lanes = coloured(lanes, spectrum)
+
+        def score(before, ahead, generation):
+            new = jnp.where(generation > 0, before.weight, 0.0)
+            return _at_depths(world, depths, before, ahead, new)
+
+        blank = jnp.zeros((len(unit), depths.shape[0], 3, bands), lanes.weight.dtype)
+        return converted(scene, world, lanes, unit, plan, generations, score, blank)[0]
+
+    return _walks.in_chunks(run, groups * len(entry.fluxes), plan.progress)
 
 
 @eqx.filter_jit
@@ -90,21 +165,24 @@ def irradiance(
     words: UInt32[Array, " 2"],
     plan: Plan,
     proposal: Proposal | None,
+    generations: int = 1,
 ) -> Estimate:
-    """(depth, 3, wl): Ed, Eu, E0."""
+    """(depth, 3, wl): Ed, Eu, E0, with `generations` of inelastic light."""
     scene, depths = fixed_scene(scene), fixed("depths", depths)
+    proposal = onward(scene, proposal)
     world = _walks.world(scene, words, proposal)
-    cosine, sun = scene.beam()
-    cosine = jax.lax.stop_gradient(cosine)
-    spectra = [sun * cosine]
-    if scene.light.diffuse is not None:
-        spectra.append(scene.light.diffuse * np.pi)
-    groups = -(-plan.paths // (GROUP * len(spectra)))
-    sums = _sums(scene, world, depths, plan, cosine, groups)
+    light = entry(scene)
+    groups = -(-plan.paths // (GROUP * len(light.fluxes)))
     found = []
-    for i, spectrum in enumerate(spectra):
-        own = tuple(v[i * groups : (i + 1) * groups] * spectrum[None, None, None] for v in sums)
-        found.append(_walks.estimate(own, scene, plan.bounces))
+    sums = _elastic(scene, world, depths, plan, light, groups)
+    for own, flux in zip(split(sums, light, groups), light.fluxes, strict=True):
+        own = tuple(v * flux[None, None, None] for v in own)
+        found.append(_walks.estimate(own, scene, plan))
+    if scene.inelastic is not None:
+        world = _walks.world(scene, words, proposal, spectral=True)
+        sums = _inelastic(scene, world, depths, plan, light, groups, generations)
+        found += [_walks.estimate(own, scene, plan) for own in split(sums, light, groups)]
+    cosine, sun = light.cosine, scene.beam()[1]
     beam = _beam(world, depths, cosine, sun)
     kinds = jnp.stack([cosine, jnp.zeros_like(cosine), jnp.ones_like(cosine)])
     found = _walks.summed(found)

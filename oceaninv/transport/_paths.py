@@ -22,7 +22,7 @@ from oceaninv.optics import fresnel_from_water
 from oceaninv.transport._sampling import Vector, lambertian, sample_half_angle, turn
 
 _BOUNCED = 0.75  # greatest chance of a reflection where scattering is possible
-_LEVEL = 1e-4  # flights closer to horizontal than this cosine stay in their layer
+LEVEL = 1e-4  # flights closer to horizontal than this cosine stay in their layer
 
 
 class Domain(NamedTuple):
@@ -38,12 +38,14 @@ class Domain(NamedTuple):
 
 class Proposal(eqx.Module):
     """What walks are drawn from: scattering rates (1/m) and tables of angles by layer, and the
-    shares of light that the floor and each object send back."""
+    shares of light that the floor and each object send back.  `stretch`: flights are drawn at the
+    rate times 1 - stretch * cosine, longer downwards than upwards; None is 0."""
 
     rate: Float[Array, " layer"]
     tables: Float[Array, "layer edge"]
     floor: Float[Array, ""]
     things: Float[Array, " thing"]
+    stretch: Float[Array, ""] | None = None
 
 
 class Lanes(NamedTuple):
@@ -128,7 +130,7 @@ def flight(domain: Domain, proposal: Proposal, lanes: Lanes) -> Flight:
     """The way from where each walk stands to the boundary that it heads for."""
     z, mu = lanes.position[2], lanes.direction[2]
     up = mu < 0
-    level = jnp.abs(mu) < _LEVEL
+    level = jnp.abs(mu) < LEVEL
     steep = jnp.where(level, 1.0, jnp.abs(mu))
     end = jnp.where(up, 0.0, 0.0 if domain.floor is None else domain.floor)
     ends = (up | (domain.floor is not None)) & ~level
@@ -170,7 +172,7 @@ def _scattered_at(domain: Domain, proposal: Proposal, lanes: Lanes, depth: Array
     straight = depth / own
     if domain.edges.shape[0] == 0:
         return straight, z + straight * mu
-    level = jnp.abs(mu) < _LEVEL
+    level = jnp.abs(mu) < LEVEL
     above, target = jnp.zeros_like(z), jnp.zeros_like(z)
     layers = [(i, top, bottom) for i, (top, bottom) in enumerate(bounds(domain))]
     for i, top, bottom in layers:
@@ -195,15 +197,19 @@ def advance(
 ) -> tuple[Lanes, Vertex]:
     """The walks at the ends of their flights, not yet turned.  The weight of a walk that scattered
     lacks the phase function over the density of its new direction."""
-    scatters = -jnp.expm1(-ahead.optical)
+    factor = 1.0 if proposal.stretch is None else 1.0 - proposal.stretch * lanes.direction[2]
+    optical = factor * ahead.optical
+    scatters = -jnp.expm1(-optical)
     kept = ahead.returned + scatters
     # Also in the thinnest water one walk in four scatters.
     chance = jnp.minimum(ahead.returned / jnp.where(kept > 0, kept, 1.0), _BOUNCED)
     bounced = u[3] < chance
-    share = jnp.where(
-        bounced, ahead.returned / jnp.where(bounced, chance, 1.0), scatters / (1.0 - chance)
-    )
-    depth = jnp.minimum(-jnp.log1p(u[0] * jnp.expm1(-ahead.optical)), ahead.optical)
+    depth = jnp.minimum(-jnp.log1p(u[0] * jnp.expm1(-optical)), optical)
+    scattered = scatters / (1.0 - chance)
+    if proposal.stretch is not None:
+        depth = depth / factor
+        scattered = scattered * jnp.exp((factor - 1.0) * depth) / factor
+    share = jnp.where(bounced, ahead.returned / jnp.where(bounced, chance, 1.0), scattered)
     length, z = _scattered_at(domain, proposal, lanes, depth)
     end = jnp.where(ahead.up, 0.0, 0.0 if domain.floor is None else domain.floor)
     if domain.things:

@@ -68,6 +68,16 @@ def half_angle_table(
     return edges.at[0].set(0.0).at[-1].set(1.0)
 
 
+def evened(tables: Float[Array, "layer edge"], share: float) -> Float[Array, "layer edge"]:
+    """Tables of the mixture that draws from all directions evenly with a probability `share`."""
+
+    def one(edges):
+        at = jnp.linspace(0.0, 1.0, edges.shape[0], dtype=edges.dtype)
+        return jnp.interp(at, (1.0 - share) * at + share * edges, edges)
+
+    return jax.vmap(one)(tables)
+
+
 def sample_half_angle(
     tables: Float[Array, "layer edge"], layer: Int[Array, "..."], u: Float[Array, "..."]
 ) -> tuple[Float[Array, "..."], Float[Array, "..."]]:

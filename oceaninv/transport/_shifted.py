@@ -34,7 +34,7 @@ def shifted(
 ) -> tuple[Float[Array, "unit wl"], Float[Array, "unit wl"]]:
     """Summed radiance by group, of all events and of the last quarter of them.
 
-    `score(before, ahead, after, vertex)`: elastic contributions of each lane, (unit, lane, wl).
+    `score(world, before, ahead, after, vertex)`: elastic contributions, (unit, lane, wl).
     """
     domain, proposal, medium, _ = world
     words = world.words ^ jnp.uint32(_OWN)
@@ -54,7 +54,7 @@ def shifted(
         u, v = uniforms(path, t, words, dtype), uniforms(path, t, words ^ jnp.uint32(_COIN), dtype)
         ahead = _paths.flight(domain, proposal, lanes)
         after, vertex = _paths.advance(domain, proposal, lanes, ahead, u)
-        found = jnp.where(converted[..., None], score(lanes, ahead, after, vertex), 0.0)
+        found = jnp.where(converted[..., None], score(world, lanes, ahead, after, vertex), 0.0)
         gains = [ratio[..., None] * found for ratio in ratios]
 
         now = ~converted & vertex.scattered & (v[0] < _HALF)

@@ -1,12 +1,13 @@
 """The loop over events: walks in groups, thinned as they grow old, scored on the way."""
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, UInt32
+import numpy as np
+from jaxtyping import Array, UInt32
 
 from oceaninv._numerics import safe_sqrt
 from oceaninv.iops import Layers
@@ -24,12 +25,19 @@ _CHUNK = 8192  # walks side by side
 _COMB = 0x9E3779B9  # sets the draws of the thinning apart from those of the walks
 
 
+Progress = Callable[[int, int], None]
+
+
 class Plan(NamedTuple):
-    """Walks per ray (or in all), events per walk, whether walks are thinned."""
+    """Walks per ray (or in all), events per walk, whether walks are thinned, after how many
+    events the water counts as a similar one that scatters evenly (None: never), and whom to tell
+    which of how many chunks is done."""
 
     paths: int
     bounces: int
     thin: bool
+    similar: int | None = None
+    progress: Progress | None = None
 
 
 class World(NamedTuple):
@@ -41,15 +49,30 @@ class World(NamedTuple):
     words: UInt32[Array, " 2"]
 
 
-def stages(plan: Plan) -> list[tuple[int, int, int]]:
-    """(first event, events, lanes per group) of every stage: two at most, for each is compiled."""
-    if not plan.thin or plan.bounces <= _YOUNG:
-        return [(0, plan.bounces, GROUP)]
-    return [(0, _YOUNG, GROUP), (_YOUNG, plan.bounces - _YOUNG, GROUP // _PART)]
+class Stage(NamedTuple):
+    """Events that are compiled together: the first and their number, lanes per group, and whether
+    the water counts as its similar one."""
+
+    first: int
+    events: int
+    kept: int
+    soft: bool
 
 
-# (before, ahead, after, vertex, event) -> (unit, ...), summed over the lanes of a unit.
-Score = Callable[[Lanes, Flight, Lanes, Vertex, Array], Array]
+def stages(plan: Plan) -> list[Stage]:
+    """Few, for each is compiled."""
+    thinned = _YOUNG if plan.thin else plan.bounces
+    soft = plan.bounces if plan.similar is None else plan.similar
+    starts = sorted({0, *(n for n in (thinned, soft) if n < plan.bounces)})
+    ends = [*starts[1:], plan.bounces]
+    return [
+        Stage(a, b - a, GROUP if a < thinned else GROUP // _PART, a >= soft)
+        for a, b in zip(starts, ends, strict=True)
+    ]
+
+
+# (world, before, ahead, after, vertex, event) -> arrays (unit, ...), summed over a unit's lanes.
+Score = Callable[[World, Lanes, Flight, Lanes, Vertex, Array], Any]
 
 
 def walk(
@@ -58,26 +81,33 @@ def walk(
     unit: UInt32[Array, " unit"],
     plan: Plan,
     score: Score,
-    shape: tuple[int, ...],
-) -> tuple[Float[Array, "..."], Float[Array, "..."]]:
-    """Summed scores, of `shape`, of all events and of the last quarter of them."""
-    domain, proposal, medium, words = world
-    dtype = lanes.weight.dtype
+    blank: Any,
+) -> tuple[tuple[Any, Any], Lanes]:
+    """Scores summed, from `blank` zeros on, over all events and over the last quarter of them; the
+    walks at their ends."""
+    words, dtype = world.words, lanes.weight.dtype
+    soft = False
     late = plan.bounces - max(plan.bounces // 4, 1)
-    sums = (jnp.zeros(shape, dtype), jnp.zeros(shape, dtype))
-    for first, events, kept in stages(plan):
+    sums = (blank, blank)
+    for first, events, kept, softer in stages(plan):
         if kept < lanes.weight.shape[1]:
             event = jnp.asarray(first, jnp.uint32)
             u = uniforms(unit, event, words ^ jnp.uint32(_COMB), dtype)
-            lanes = _weights.comb(medium, lanes, kept, u[0])
+            lanes = _weights.comb(world.medium, lanes, kept, u[0])
+        if softer and not soft:
+            soft = True
+            lanes = _weights.settled(world.medium, lanes)
+            proposal, medium = _weights.similar(world.proposal, world.medium)
+            world = world._replace(proposal=proposal, medium=medium)
         path = unit[:, None] * jnp.uint32(GROUP) + jnp.arange(kept, dtype=jnp.uint32)[None, :]
 
-        def step(carry, t, path=path):
+        def step(carry, t, path=path, world=world):
+            domain, proposal, medium, _ = world
             lanes, (whole, tail) = carry
             u = uniforms(path, t, words, dtype)
             ahead = _paths.flight(domain, proposal, lanes)
             after, vertex = _paths.advance(domain, proposal, lanes, ahead, u)
-            scores = score(lanes, ahead, after, vertex, t)
+            scores = score(world, lanes, ahead, after, vertex, t)
             direction, cosine, density = _paths.deflect(proposal, after, vertex, ahead, u)
             scalar, spectral = _weights.scatter(medium, after, vertex, ahead, cosine, density)
             after = after._replace(
@@ -85,12 +115,13 @@ def walk(
             )
             if after.limit is not None:
                 after = after._replace(limit=jnp.full_like(after.limit, jnp.inf))
-            tail = tail + jnp.where(t >= late, scores, 0.0)
-            return (after, (whole + scores, tail)), None
+            whole = jax.tree.map(jnp.add, whole, scores)
+            tail = jax.tree.map(lambda s, new: s + jnp.where(t >= late, new, 0.0), tail, scores)
+            return (after, (whole, tail)), None
 
         times = jnp.arange(first, first + events, dtype=jnp.uint32)
         (lanes, sums), _ = jax.lax.scan(step, (lanes, sums), times)
-    return sums
+    return sums, lanes
 
 
 def standing(
@@ -109,8 +140,14 @@ def standing(
     return Lanes(position, direction, jnp.ones_like(zero), layers, layers, zero, spectral, limit)
 
 
-def world(scene: Scene, words: UInt32[Array, " 2"], proposal: Proposal | None = None) -> World:
-    """The scene as walks see it."""
+def world(
+    scene: Scene,
+    words: UInt32[Array, " 2"],
+    proposal: Proposal | None = None,
+    spectral: bool = False,
+) -> World:
+    """The scene as walks see it; `spectral`: they carry a spectral factor though water and objects
+    need none."""
     edges = jnp.zeros((0,), scene.light.direct.dtype)
     if isinstance(scene.water, Layers):
         edges = scene.water.interfaces.astype(edges.dtype)
@@ -123,7 +160,8 @@ def world(scene: Scene, words: UInt32[Array, " 2"], proposal: Proposal | None = 
     )
     domain = jax.lax.stop_gradient(Domain(edges, floor, index, things))
     proposal = _weights.propose(scene) if proposal is None else proposal
-    return World(domain, proposal, _weights.medium(scene, proposal), words)
+    spectral = spectral or _weights.mixed(scene)
+    return World(domain, proposal, _weights.medium(scene, proposal, spectral), words)
 
 
 def carried(scene: Scene) -> int | None:
@@ -131,18 +169,39 @@ def carried(scene: Scene) -> int | None:
     return len(scene.wavelength) if _weights.mixed(scene) else None
 
 
-def in_chunks(run: Callable, units: int):
-    """run(unit numbers) over all units, a fixed number of walks at a time: (unit, ...)."""
-    block = max(min(_CHUNK // GROUP, units), 1)
-    blocks = -(-units // block)
-    numbers = jnp.arange(blocks * block, dtype=jnp.uint32).reshape(blocks, block)
-    # Checkpointed: reverse mode then stores one block's walks, not all.
-    found = jax.lax.map(jax.checkpoint(run), numbers)
+def in_chunks(run: Callable, units: int, progress: Progress | None = None):
+    """run(unit numbers) over all units, a fixed number of walks at a time, on all local devices
+    side by side: (unit, ...).  What a walk does depends on its number alone."""
+    devices = jax.local_devices()
+    block = max(min(_CHUNK // GROUP, -(-units // len(devices))), 1)
+    chunks = -(-units // (block * len(devices)))
+    shape = (len(devices), chunks, block)
+    numbers = jnp.arange(np.prod(shape), dtype=jnp.uint32).reshape(shape)
+
+    def one(number):
+        # Checkpointed: reverse mode then stores one block's walks, not all.
+        found = jax.checkpoint(run)(number)
+        if progress is not None:
+            jax.debug.callback(progress, number[0] // jnp.uint32(block), chunks * len(devices))
+        return found
+
+    def several(numbers):
+        return jax.lax.map(one, numbers)
+
+    if len(devices) == 1:
+        found = several(numbers[0])
+    else:
+        mesh = jax.sharding.Mesh(np.asarray(devices), ("walks",))
+        spread = jax.sharding.NamedSharding(mesh, jax.sharding.PartitionSpec("walks"))
+        numbers = jax.lax.with_sharding_constraint(numbers, spread)
+        found = jax.vmap(several, spmd_axis_name="walks")(numbers)
+        found = jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[2:]), found)
     return jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[2:])[:units] / GROUP, found)
 
 
-def estimate(sums: tuple[Array, Array], scene: Scene, bounces: int) -> Estimate:
+def estimate(sums: tuple[Array, Array], scene: Scene, plan: Plan) -> Estimate:
     """Mean over groups (axis 0), its standard error, and the truncation bound."""
+    bounces = plan.bounces
     whole, tail = sums
     value = jnp.mean(whole, axis=0)
     groups = whole.shape[0]
@@ -155,7 +214,7 @@ def estimate(sums: tuple[Array, Array], scene: Scene, bounces: int) -> Estimate:
     room = 1.0 - albedo
     # That holds once contributions decline: not while the last quarter still brings a tenth.
     declining = last * max(bounces // 4, 1) <= 0.1 * jnp.abs(jax.lax.stop_gradient(value))
-    known = (room > 0) & declining
+    known = (room > 0) & declining & (plan.similar is None)
     bias = jnp.where(known, last * albedo / jnp.where(room > 0, room, 1.0), jnp.nan)
     return Estimate(value, stderr, bias)
 

@@ -14,7 +14,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from oceaninv.iops import IOPs
-from oceaninv.phase import AbstractPhase
+from oceaninv.phase import AbstractPhase, Isotropic
 from oceaninv.scene import Scene
 from oceaninv.transport._paths import Flight, Lanes, Proposal, Vertex
 from oceaninv.transport._sampling import half_angle_table
@@ -72,14 +72,14 @@ def reflectances(scene: Scene) -> Float[Array, "thing wl"]:
     return jnp.stack([thing.reflectance for thing in scene.objects])
 
 
-def medium(scene: Scene, proposal: Proposal) -> Medium:
-    """The scene's water, relative to a proposal."""
+def medium(scene: Scene, proposal: Proposal, spectral: bool) -> Medium:
+    """The scene's water, relative to a proposal; `spectral`: whether walks carry that factor."""
     layers = waters(scene)
     log_floor = None
 
     def log_b(b):
         # Where a spectral factor is carried, the derivative runs through it.
-        return _log(jax.lax.stop_gradient(b) if mixed(scene) else b)
+        return _log(jax.lax.stop_gradient(b) if spectral else b)
 
     if scene.floor is not None:
         log_floor = _log(scene.floor.reflectance) - _log(proposal.floor)
@@ -182,3 +182,37 @@ def comb(medium: Medium, lanes: Lanes, kept: int, u: Float[Array, " unit"]) -> L
     lanes = jax.tree.map(take, lanes)
     copies = kept * jnp.take_along_axis(importance, chosen, axis=1) / jnp.maximum(whole, tiny)
     return lanes._replace(weight=lanes.weight / jnp.maximum(copies, tiny))
+
+
+def settled(medium: Medium, lanes: Lanes) -> Lanes:
+    """Lanes whose spectral factor holds all that their lengths and counts did."""
+    zero = jnp.zeros_like(lanes.weight)
+    nothing = (zero,) * len(lanes.lengths)
+    spectral = attenuated(medium, lanes, nothing)
+    return lanes._replace(lengths=nothing, counts=nothing, floors=zero, spectral=spectral)
+
+
+def similar(proposal: Proposal, medium: Medium) -> tuple[Proposal, Medium]:
+    """The water that scatters evenly and b (1 - g) as much, which far inside differs little
+    (similarity theory; Frisvad et al. 2007, section 3).  For lanes with a spectral factor."""
+    rows, c, rates = [], [], []
+    for own, phases, attenuation in zip(medium.rows, medium.phases, medium.c, strict=True):
+        even = 1.0 - jnp.stack([jnp.asarray(p.asymmetry, own.dtype) for p in phases])
+        row = even @ own
+        rows.append(row[None])
+        c.append(attenuation - jnp.sum(own, axis=0) + row)
+        rates.append(jnp.maximum(jax.lax.stop_gradient(jnp.min(c[-1])), 1e-6))
+    table = jnp.linspace(0.0, 1.0, proposal.tables.shape[1], dtype=proposal.tables.dtype)
+    tables = jnp.broadcast_to(table, proposal.tables.shape)
+    proposal = Proposal(jnp.stack(rates), tables, proposal.floor, proposal.things)
+    medium = medium._replace(
+        c=tuple(c),
+        excess=tuple(own - rate for own, rate in zip(c, rates, strict=True)),
+        log_b=tuple(
+            _log(jax.lax.stop_gradient(row[0])) - jnp.log(rate)
+            for row, rate in zip(rows, rates, strict=True)
+        ),
+        rows=tuple(rows),
+        phases=((Isotropic(),),) * len(rows),
+    )
+    return proposal, medium

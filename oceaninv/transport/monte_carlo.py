@@ -1,5 +1,6 @@
 """Monte Carlo: walks traced once, weighed at every wavelength."""
 
+import dataclasses
 import warnings
 from typing import ClassVar
 
@@ -16,7 +17,7 @@ from oceaninv.scene import Scene
 from oceaninv.transport import _backward, _forward
 from oceaninv.transport._paths import Proposal
 from oceaninv.transport._sampling import key_words
-from oceaninv.transport._walks import Plan
+from oceaninv.transport._walks import Plan, Progress
 from oceaninv.transport._weights import propose
 from oceaninv.transport.base import AbstractTransport, Estimate, Irradiance
 
@@ -25,7 +26,7 @@ class MonteCarlo(AbstractTransport):
     """Random walks, backward from the eye or forward from the light.
 
     Solves the radiative transfer equation: radiance for anything a `Scene` holds, irradiance for
-    scenes without objects, lamps and inelastic light (ValueError).  Every walk is traced once and
+    scenes without objects and lamps (ValueError).  Every walk is traced once and
     weighed analytically at every wavelength, so that all bands share its cost.
     Neglects: what happens after `bounces` events (bounded in `Estimate.bias`), polarisation.
     Cost: 1e6 walks of 32 events in 20 bands take about 2 s on two cores.
@@ -40,6 +41,14 @@ class MonteCarlo(AbstractTransport):
       Saves most of the time where light is absorbed; switch it off for white media.
 
     - `proposal`: what the walks are drawn from; `None` makes it from the scene.
+    - `generations`: how often light may change its wavelength on its way to an irradiance or in an
+      `energy_budget`.  Radiance follows one change (ValueError for more): what the second adds
+      is bounded by `PlaneParallel.inelastic_left` and measured in `tests/acceptance`.
+    - `similar`: after so many events the water counts as one that scatters evenly, and b (1 - g) as
+      much (similarity theory; Frisvad et al. 2007, section 3), so that one event does the work of
+      1/(1 - g).  For white media; `bias` is nan then.  Elastic light only.
+    - `progress`: a function of two whole numbers, called as every chunk of walks is done: its
+      number, and how many there are.
 
     With one key and a frozen proposal the estimate is a smooth function of the water, which is
     what a fit needs: `transport.frozen(scene)`.
@@ -49,6 +58,9 @@ class MonteCarlo(AbstractTransport):
     bounces: int = eqx.field(static=True)
     thin: bool = eqx.field(static=True)
     proposal: Proposal | None
+    generations: int = eqx.field(static=True)
+    similar: int | None = eqx.field(static=True)
+    progress: Progress | None = eqx.field(static=True)
 
     sees_things: ClassVar[bool] = True
     inelastic: ClassVar[bool] = True
@@ -59,26 +71,33 @@ class MonteCarlo(AbstractTransport):
         bounces: int = 32,
         thin: bool = True,
         proposal: Proposal | None = None,
+        generations: int = 1,
+        similar: int | None = None,
+        progress: Progress | None = None,
     ):
-        """Raises ValueError for fewer than one path or bounce."""
-        for name, value in (("paths", paths), ("bounces", bounces)):
+        """Raises ValueError for fewer than one path, bounce or generation, or similar below 1."""
+        counts = {"paths": paths, "bounces": bounces, "generations": generations}
+        for name, value in (counts if similar is None else counts | {"similar": similar}).items():
             if int(value) < 1:
                 raise ValueError(f"{name} must be at least 1, not {value}.")
         self.paths = int(paths)
         self.bounces = int(bounces)
         self.thin = bool(thin)
         self.proposal = proposal
+        self.generations = int(generations)
+        self.similar = None if similar is None else int(similar)
+        self.progress = progress
 
     def frozen(self, scene: Scene) -> "MonteCarlo":
         """This transport with the proposal of a scene: walks that stay where they are while the
         water around them changes.  It serves scenes with as many layers."""
-        return MonteCarlo(self.paths, self.bounces, self.thin, propose(scene))
+        return dataclasses.replace(self, proposal=propose(scene))
 
     def reuse(self, scene: Scene, rays: Rays, key: Key[Array, ""]) -> Float[Array, "ray wl"]:
         """Effective share of the walks: how many walks drawn for this scene itself would be worth
         one of the frozen ones.  A warning below 0.3: freeze again, at the present water.  Takes
         two estimates' time."""
-        fresh = MonteCarlo(self.paths, self.bounces, self.thin).radiance(scene, rays, key)
+        fresh = dataclasses.replace(self, proposal=None).radiance(scene, rays, key)
         frozen = self.radiance(scene, rays, key)
         safe = jnp.where(frozen.stderr > 0, frozen.stderr, 1.0)
         share = jnp.where(frozen.stderr > 0, (fresh.stderr / safe) ** 2, 1.0)
@@ -93,6 +112,11 @@ class MonteCarlo(AbstractTransport):
     def radiance(self, scene: Scene, rays: Rays, key: Key[Array, ""] | None = None) -> Estimate:
         """See `oceaninv.radiance`; ValueError for an eye inside an object."""
         _check_outside(scene, rays)
+        if scene.inelastic is not None and self.generations > 1:
+            raise ValueError(
+                "MonteCarlo follows one change of wavelength to an eye: take generations=1, or "
+                "PlaneParallel(generations=...), whose inelastic_left bounds the rest."
+            )
         return _backward.radiance(scene, rays, _words(key), self.plan, self.proposal)
 
     def irradiance(
@@ -104,18 +128,15 @@ class MonteCarlo(AbstractTransport):
                 "irradiance at a depth is one number only in horizontally uniform light: ask for "
                 "radiance, or leave objects and lamps out of the scene."
             )
-        if scene.inelastic is not None:
-            raise ValueError(
-                "MonteCarlo follows inelastic light to an eye, not to irradiances: ask for "
-                "radiance, take PlaneParallel, or leave inelastic out of the scene."
-            )
-        found = _forward.irradiance(scene, depths, _words(key), self.plan, self.proposal)
+        found = _forward.irradiance(
+            scene, depths, _words(key), self.plan, self.proposal, self.generations
+        )
         return Irradiance(*(jax.tree.map(lambda leaf, i=i: leaf[:, i], found) for i in range(3)))
 
     @property
     def plan(self) -> Plan:
         """The dials, as the walks need them."""
-        return Plan(self.paths, self.bounces, self.thin)
+        return Plan(self.paths, self.bounces, self.thin, self.similar, self.progress)
 
 
 def _words(key):

@@ -1,0 +1,231 @@
+"""Where the energy of the light goes, by kind of event."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Key, UInt32
+
+from oceaninv._numerics import safe_sqrt
+from oceaninv.inelastic import AbstractInelastic, ChlorophyllFluorescence, Raman
+from oceaninv.iops import IOPs
+from oceaninv.scene import Scene
+from oceaninv.spectrum import band_edges
+from oceaninv.transport import _tracks, _weights
+from oceaninv.transport._paths import Proposal
+from oceaninv.transport._sampling import key_words
+from oceaninv.transport._tracks import Tracks
+from oceaninv.transport._walks import Plan
+from oceaninv.transport.base import Estimate
+from oceaninv.transport.monte_carlo import MonteCarlo
+
+
+class EnergyBudget(eqx.Module):
+    """Energy that takes part in every kind of event, as a share of all that enters the water.
+
+    All `Estimate`s of shape (wl,), at the wavelength that the light has when the event befalls it;
+    the sum over wavelengths is the share of the whole spectrum.
+
+    - `absorption`: by constituent, what stays there as heat (loss on a change of wavelength
+      included).
+    - `elastic`: by constituent, what is scattered; may exceed 1, for light is scattered often.
+    - `inelastic`: by constituent, what is taken to be emitted at another wavelength.
+    - `sinks`: absorbed by the `floor`, gone through the `surface`, emitted `beyond the grid`, and
+      `untraced`: still on its way after the last event, or emitted by the last generation.
+    - `entered`: what enters, (wl,), of sum 1.
+    - `remaining`: (interaction+1,) what is left of all after 0, 1, 2, ... interactions, elastic
+      scattering and reflections; inelastic light counts as gone.
+
+    Absorption and sinks close to 1, summed over wavelengths.
+    """
+
+    absorption: dict[str, Estimate]
+    elastic: dict[str, Estimate]
+    inelastic: dict[str, Estimate]
+    sinks: dict[str, Estimate]
+    entered: Float[Array, " wl"]
+    remaining: Estimate
+
+    @property
+    def events(self) -> dict[str, Float[Array, ""]]:
+        """Share of each kind of event, such as "absorption: water", of the energy that takes part
+        in events with the water at all; they close to 1.  Gutierrez et al. 2008, figure 5."""
+        found = {
+            f"{kind}: {name}": jnp.sum(estimate.value)
+            for kind in ("absorption", "elastic", "inelastic")
+            for name, estimate in getattr(self, kind).items()
+        }
+        total = sum(found.values(), jnp.zeros_like(self.entered[0]))
+        return {name: value / total for name, value in found.items()}
+
+    @property
+    def closure(self) -> Float[Array, ""]:
+        """Sum of what is absorbed and what is lost: 1."""
+        parts = [*self.absorption.values(), *self.sinks.values()]
+        return jnp.sum(jnp.stack([part.value for part in parts]))
+
+
+def energy_budget(
+    scene: Scene, transport: MonteCarlo | None = None, *, key: Key[Array, ""] | None = None
+) -> EnergyBudget:
+    """What becomes of the light that enters the water of a scene.
+
+    With the constituents of Gutierrez et al. 2008 (`gutierrez2008`) and `Inelastic` of all three
+    processes these are the ten events of its table 3.  Constituents that share a phase function
+    share a name, joined by "+".
+
+    `transport`: `MonteCarlo(2**15, 64)` unless given, `generations` included; `key`: `key(0)`.
+    Standard errors count nothing twice: that the shares close is known, and taken off as a control
+    (regression on the balance of each group of walks).
+
+    Raises ValueError for a scene with objects or lamps, whose light is not horizontally uniform,
+    for a sky that is not uniform, and for transports other than `MonteCarlo`.
+    """
+    transport = MonteCarlo(2**15, 64) if transport is None else transport
+    if not isinstance(transport, MonteCarlo):
+        raise ValueError(
+            f"an energy budget follows walks: take MonteCarlo, not {type(transport).__name__}."
+        )
+    if scene.objects or scene.lamps or scene.light.sky is not None:
+        raise ValueError(
+            "an energy budget is one number per constituent only in horizontally uniform water "
+            "under a uniform sky: leave objects, lamps and light.sky out of the scene."
+        )
+    words = key_words(jax.random.key(0) if key is None else key)
+    return _budget(scene, words, transport.plan, transport.proposal, transport.generations)
+
+
+def _owner(term: AbstractInelastic, water: IOPs) -> str:
+    """The constituent whose absorption a process is part of."""
+    names = ("cdom",)
+    if isinstance(term, Raman):
+        names = ("water", water.absorbers[0])
+    elif isinstance(term, ChlorophyllFluorescence):
+        names = ("chlorophyll", "phytoplankton")
+    return next(name for name in names if name in water.absorbers)
+
+
+class _Events(eqx.Module):
+    """Energy by kind of event of groups of walks: (group, wl) each."""
+
+    absorption: dict[str, Array]
+    elastic: dict[str, Array]
+    inelastic: dict[str, Array]
+    sinks: dict[str, Array]
+    emitted: Array
+
+
+def _events(scene: Scene, tracks: Tracks) -> _Events:
+    """What tracks mean; `emitted`: energy that appears in each band."""
+    none = jnp.zeros_like(tracks.left)
+    absorption, elastic, inelastic, emitted, beyond = {}, {}, {}, none, none
+
+    def add(kinds, name, value):
+        kinds[name] = kinds.get(name, none) + value
+
+    terms = () if scene.inelastic is None else scene.inelastic.terms
+    for i, water in enumerate(_weights.waters(scene)):
+        light = tracks.light[:, i]
+        for name, row in zip(water.absorbers, water.a_components, strict=True):
+            add(absorption, name, light * row[None])
+        for name, row in zip(water.scatterers, water.b_components, strict=True):
+            add(elastic, name, light * row[None])
+        for term in terms:
+            shares = term.shares(water.wavelength)
+            inside, outside = (jnp.asarray(v, light.dtype) for v in (shares.inside, shares.outside))
+            excited = light * term.coefficient(water)[None]
+            taken = excited * (jnp.sum(inside, axis=1) + outside)[None]
+            add(inelastic, _owner(term, water), taken)
+            add(absorption, _owner(term, water), -taken)
+            emitted, beyond = emitted + excited @ inside, beyond + excited * outside[None]
+    sinks = {"surface": tracks.escaped, "untraced": tracks.left}
+    if scene.floor is not None:
+        sinks["floor"] = tracks.floor * (1.0 - scene.floor.reflectance)[None]
+    if terms:
+        sinks["beyond the grid"] = beyond
+    return _Events(absorption, elastic, inelastic, sinks, emitted)
+
+
+def _spent(scene: Scene, tracks: Tracks) -> Array:
+    """All that leaves the band of each wavelength, or is left in it, (group, wl)."""
+    found = tracks.escaped + tracks.left
+    if scene.floor is not None:
+        found += tracks.floor * (1.0 - scene.floor.reflectance)[None]
+    for i, water in enumerate(_weights.waters(scene)):
+        found += tracks.light[:, i] * water.a[None]
+    return found
+
+
+def _balanced(scene: Scene, tracks: Tracks) -> Tracks:
+    """The same expected values, less what goes along with the balance, known to be 0."""
+    balance = _spent(scene, tracks) - tracks.entered
+    centred = balance - jnp.mean(balance, axis=0, keepdims=True)
+    spread = jnp.sum(centred**2, axis=0, keepdims=True)
+    weight = jnp.where(spread > 0, centred / jnp.where(spread > 0, spread, 1.0), 0.0)
+
+    def less(leaf):
+        rest = (slice(None), *(None,) * (leaf.ndim - 2))
+        slope = jnp.sum(weight[rest] * leaf, axis=0, keepdims=True)
+        return leaf - balance[rest] * slope
+
+    return jax.tree.map(less, tracks)
+
+
+def _scaled(scene: Scene, tracks: Tracks, emitted: Array) -> Tracks:
+    """Tracks whose energy is, band by band, what the generation before has `emitted`, (wl,)."""
+    spent = _spent(scene, tracks)
+    mean = jnp.mean(spent, axis=0, keepdims=True)
+    some = jnp.where(mean > 0, mean, 1.0)
+    scale = jnp.where(mean > 0, emitted[None] / some, 1.0)
+
+    def times(leaf):
+        rest = (slice(None), *(None,) * (leaf.ndim - 2))
+        share = jnp.mean(leaf, axis=0, keepdims=True) / some[rest]
+        # What a group has less of all does not count as its error.
+        return (leaf - share * (spent - mean)[rest]) * scale[rest]
+
+    return jax.tree.map(times, tracks)
+
+
+@eqx.filter_jit
+def _budget(
+    scene: Scene, words: UInt32[Array, " 2"], plan: Plan, proposal: Proposal | None, generations
+) -> EnergyBudget:
+    dtype = scene.light.direct.dtype
+    width = jnp.ones(1, dtype)
+    if len(scene.wavelength) > 1:
+        width = jnp.asarray(np.diff(band_edges(scene.wavelength)), dtype)
+    parts, gone = _tracks.elastic(scene, words, plan, proposal, width)
+    parts = [_balanced(scene, part) for part in parts]
+    first = jax.tree.map(lambda *leaves: sum(leaves[1:], leaves[0]), *parts)
+    entered = jnp.mean(first.entered, axis=0)
+    whole = jnp.sum(entered)
+    every = [_events(scene, first)]
+    if scene.inelastic is not None:
+        for tracks in _tracks.inelastic(scene, words, plan, proposal, width, generations):
+            tracks = _scaled(scene, tracks, jnp.mean(every[-1].emitted, axis=0))
+            every.append(_events(scene, tracks))
+    total = jax.tree.map(lambda *leaves: sum(leaves[1:], leaves[0]), *every)
+    total.sinks["untraced"] += every[-1].emitted
+
+    def estimate(samples):
+        count = samples.shape[0]
+        spread = jnp.var(samples, axis=0) / max(count - 1, 1)
+        stderr = safe_sqrt(spread) if count > 1 else jnp.full_like(spread, jnp.nan)
+        mean = jnp.mean(samples, axis=0) / whole
+        return Estimate(mean, stderr / whole, jnp.zeros_like(mean))
+
+    def named(samples):
+        return {name: estimate(value) for name, value in samples.items()}
+
+    lost = jnp.pad(jnp.cumsum(gone, axis=1), ((0, 0), (1, 0)))
+    lost = estimate(lost)
+    remaining = Estimate(1.0 - lost.value, lost.stderr, lost.bias)
+    return EnergyBudget(
+        named(total.absorption),
+        named(total.elastic),
+        named(total.inelastic),
+        named(total.sinks),
+        entered / whole,
+        remaining,
+    )

@@ -1,0 +1,78 @@
+"""Similarity theory as a dial: speed-up and error in milk and in bubbly ice.
+
+    python -m tests.acceptance.similarity [log2 of the number of walks, default 14]
+
+Frisvad et al. 2007, section 3: after ten mean free paths the medium counts as one that scatters
+evenly, with b (1 - g).  The paper: ten to twenty times as fast, no influence on the result.  Here
+the diffuse reflectance and the nadir radiance of deep whole milk, skimmed milk and first-year ice under a sun
+at 30 degrees, by walks of as many events as truncation wants (what is left brings less than 1e-3),
+with the switch after 10 events and without, against the exact field.
+"""
+
+import sys
+import time
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+import oceaninv as oi
+
+BANDS = np.array([450.0, 550.0, 600.0])
+MEDIA = {
+    "whole milk": lambda: oi.media.milk(3.5, 3.2, radii=60),
+    "skimmed milk": lambda: oi.media.milk(0.1, 3.2, radii=60),
+    "first-year ice": lambda: oi.media.ice(air=0.006, brine=0.02, radii=24),
+}
+
+
+def estimates(water, transport, seed):
+    """(2, wl) reflectance and nadir radiance, their errors, and CPU seconds."""
+    light = oi.Light(30.0, jnp.ones(len(BANDS)))
+    scene = oi.Scene(water, light)
+    rays = oi.Rays(jnp.zeros(3), jnp.asarray([[0.0, 0.0, 1.0]]))
+    cosine = float(np.cos(np.radians(30.0)))
+
+    def run(seed):
+        key = jax.random.key(seed)
+        up = oi.irradiance(scene, [0.0], transport, key=key).Eu
+        seen = oi.radiance(scene, rays, transport, key=key)
+        pairs = [(up.value[0] / cosine, up.stderr[0] / cosine), (seen.value[0], seen.stderr[0])]
+        return (np.array([p[i] for p in pairs]) for i in (0, 1))
+
+    run(seed + 1)  # compiles
+    start = time.process_time()
+    value, stderr = run(seed)
+    return value, stderr, time.process_time() - start
+
+
+def main() -> None:
+    jax.config.update("jax_enable_x64", True)
+    walks = 2 ** (int(sys.argv[1]) if len(sys.argv) > 1 else 14)
+    print("| medium | g | 1 - albedo | events | CPU, s | relative error of R, of L | its stderr |")
+    print("|---|---|---|---|---|---|---|")
+    for name, make in MEDIA.items():
+        water = make().iops(BANDS, shapes=1, fit=oi.media.fit_lobes)
+        g = np.asarray(water.scattering_moments(1)[1] / water.b)
+        rest = np.asarray(water.a / water.c)
+        exact, _, _ = estimates(water, oi.PlaneParallel(24), 0)
+        # Walks that reach n events bring about n^-1.5 each; absorption ends them at 1/rest.
+        soft = rest / (rest + (1 - rest) * (1 - g))
+        times = []
+        for similar, left in ((None, rest), (10, soft)):
+            events = int(np.clip(4.0 / left.min(), 64, 20000))
+            transport = oi.MonteCarlo(walks, events, similar=similar)
+            value, stderr, seconds = estimates(water, transport, 1)
+            times.append(seconds * np.mean((stderr / exact) ** 2))
+            error, random = value / exact - 1, stderr / exact
+            print(
+                f"| {name}{'' if similar is None else ', switch after 10'} | {g.mean():.3f} | "
+                f"{rest.min():.1e} | {events} | {seconds:.1f} | "
+                f"{np.abs(error[0]).max():.2%}, {np.abs(error[1]).max():.2%} | "
+                f"{random[0].max():.2%}, {random[1].max():.2%} |"
+            )
+        print(f"| {name}: CPU times variance, without over with | | | | {times[0] / times[1]:.1f} |")
+
+
+if __name__ == "__main__":
+    main()
