@@ -183,19 +183,17 @@ def test_chunks_do_not_matter(layered, monkeypatch):
 
 
 _ON_DEVICES = """
-import jax, numpy as np
+import jax
 jax.config.update("jax_enable_x64", True)
 import jax.numpy as jnp
 import oceaninv as oi
 from tests.test_monte_carlo import down, nadir
 scene, done = nadir(jnp.asarray([0.065, 0.178, 0.8, 0.3])), []
-mc = oi.MonteCarlo(33 * 32, 8, progress=lambda i, n: done.append((int(i), int(n))))
+mc = oi.MonteCarlo(33 * 32, 6, progress=lambda i, n: done.append((int(i), int(n))))
 seen = oi.radiance(scene, down(), mc, key=jax.random.key(1))
-light = oi.irradiance(scene, jnp.asarray([1.0, 5.0]), mc, key=jax.random.key(1))
 jax.effects_barrier()
-numbers = [seen.value, seen.stderr, light.Eu.value, light.E0.stderr]
-print(jax.local_device_count(), *np.concatenate([np.ravel(v) for v in numbers]).tolist())
-assert sorted(done) == sorted(2 * [(i, done[0][1]) for i in range(done[0][1])]), done
+print(jax.local_device_count(), float(seen.value[0, 0]), float(seen.stderr[0, 0]))
+assert sorted(done) == [(i, done[0][1]) for i in range(done[0][1])], done
 """
 
 

@@ -15,22 +15,12 @@ from oceaninv.transport import _paths, _walks, _weights
 from oceaninv.transport._converted import coloured, converted
 from oceaninv.transport._guard import fixed, fixed_scene
 from oceaninv.transport._paths import Lanes, Proposal
-from oceaninv.transport._sampling import evened, uniforms
+from oceaninv.transport._sampling import uniforms
 from oceaninv.transport._walks import GROUP, Plan, World
 from oceaninv.transport.base import Estimate
 
-_EVEN = 1e-9  # X
-_STRETCH = 0.0  # X
-_GRAZING = 0.01  # below this cosine, 1/cosine counts as its mean over the band, 2/0.01
+_GRAZING = 0.03  # below this cosine, 1/cosine counts as its mean over the band, 2/0.03
 _SKY = 0x51ED270B  # sets the draws of the sky's directions apart
-
-
-def onward(scene: Scene, proposal: Proposal | None) -> Proposal:
-    """The proposal made fit for walks that come from above and are wanted everywhere."""
-    proposal = _weights.propose(scene) if proposal is None else proposal
-    stretch = jnp.asarray(_STRETCH, proposal.rate.dtype)
-    tables = evened(proposal.tables, _EVEN)
-    return Proposal(proposal.rate, tables, proposal.floor, proposal.things, stretch)
 
 
 def _from_sky(world: World, unit: UInt32[Array, " unit"]):
@@ -169,7 +159,6 @@ def irradiance(
 ) -> Estimate:
     """(depth, 3, wl): Ed, Eu, E0, with `generations` of inelastic light."""
     scene, depths = fixed_scene(scene), fixed("depths", depths)
-    proposal = onward(scene, proposal)
     world = _walks.world(scene, words, proposal)
     light = entry(scene)
     groups = -(-plan.paths // (GROUP * len(light.fluxes)))

@@ -17,11 +17,13 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
+from oceaninv._numerics import safe_sqrt
 from oceaninv.objects import AbstractObject, nearest
 from oceaninv.optics import fresnel_from_water
 from oceaninv.transport._sampling import Vector, lambertian, sample_half_angle, turn
 
 _BOUNCED = 0.75  # greatest chance of a reflection where scattering is possible
+_RARE = 0.4  # of the root of a small chance of a reflection is its least chance
 LEVEL = 1e-4  # flights closer to horizontal than this cosine stay in their layer
 
 
@@ -38,14 +40,12 @@ class Domain(NamedTuple):
 
 class Proposal(eqx.Module):
     """What walks are drawn from: scattering rates (1/m) and tables of angles by layer, and the
-    shares of light that the floor and each object send back.  `stretch`: flights are drawn at the
-    rate times 1 - stretch * cosine, longer downwards than upwards; None is 0."""
+    shares of light that the floor and each object send back."""
 
     rate: Float[Array, " layer"]
     tables: Float[Array, "layer edge"]
     floor: Float[Array, ""]
     things: Float[Array, " thing"]
-    stretch: Float[Array, ""] | None = None
 
 
 class Lanes(NamedTuple):
@@ -197,19 +197,17 @@ def advance(
 ) -> tuple[Lanes, Vertex]:
     """The walks at the ends of their flights, not yet turned.  The weight of a walk that scattered
     lacks the phase function over the density of its new direction."""
-    factor = 1.0 if proposal.stretch is None else 1.0 - proposal.stretch * lanes.direction[2]
-    optical = factor * ahead.optical
-    scatters = -jnp.expm1(-optical)
+    scatters = -jnp.expm1(-ahead.optical)
     kept = ahead.returned + scatters
     # Also in the thinnest water one walk in four scatters.
-    chance = jnp.minimum(ahead.returned / jnp.where(kept > 0, kept, 1.0), _BOUNCED)
+    chance = ahead.returned / jnp.where(kept > 0, kept, 1.0)
+    # Light that comes back from far is rare, and may be all that there is to see.
+    chance = jnp.minimum(jnp.maximum(chance, _RARE * safe_sqrt(chance)), _BOUNCED)
     bounced = u[3] < chance
-    depth = jnp.minimum(-jnp.log1p(u[0] * jnp.expm1(-optical)), optical)
-    scattered = scatters / (1.0 - chance)
-    if proposal.stretch is not None:
-        depth = depth / factor
-        scattered = scattered * jnp.exp((factor - 1.0) * depth) / factor
-    share = jnp.where(bounced, ahead.returned / jnp.where(bounced, chance, 1.0), scattered)
+    share = jnp.where(
+        bounced, ahead.returned / jnp.where(bounced, chance, 1.0), scatters / (1.0 - chance)
+    )
+    depth = jnp.minimum(-jnp.log1p(u[0] * jnp.expm1(-ahead.optical)), ahead.optical)
     length, z = _scattered_at(domain, proposal, lanes, depth)
     end = jnp.where(ahead.up, 0.0, 0.0 if domain.floor is None else domain.floor)
     if domain.things:

@@ -15,6 +15,7 @@ from oceaninv.phase import AbstractPhase
 
 BINS = 1024  # of equal probability, per layer
 _GRID = 4096
+_DEAL = 0x3C6EF372  # sets the deals of the strata apart from the numbers in them
 
 
 def key_words(key) -> UInt32[Array, " 2"]:
@@ -22,10 +23,10 @@ def key_words(key) -> UInt32[Array, " 2"]:
     return jax.random.bits(key, (2,), jnp.uint32)
 
 
-def uniforms(
-    path: UInt32[Array, "..."], event: UInt32[Array, ""], words: UInt32[Array, " 2"], dtype
-) -> tuple[Float[Array, "..."], ...]:
-    """Four independent numbers in (0, 1) per path.
+def hashed(
+    path: UInt32[Array, "..."], event: UInt32[Array, ""], words: UInt32[Array, " 2"]
+) -> tuple[UInt32[Array, "..."], ...]:
+    """Four words of 32 random bits per path.
 
     The hash is pcg4d (Jarzynski & Olano 2020, J. Comput. Graph. Tech. 9(3):20): a dozen integer
     products for 128 bits, where JAX's own generator takes five times as many operations.
@@ -41,9 +42,43 @@ def uniforms(
         d = d + b * c
         if not last:
             a, b, c, d = (word ^ (word >> jnp.uint32(16)) for word in (a, b, c, d))
+    return a, b, c, d
+
+
+def uniforms(
+    path: UInt32[Array, "..."], event: UInt32[Array, ""], words: UInt32[Array, " 2"], dtype
+) -> tuple[Float[Array, "..."], ...]:
+    """Four independent numbers in (0, 1) per path."""
     # 23 bits: with the half added, every value is exact in single precision and inside (0, 1).
     scale = 2.0**-23
-    return tuple(((word >> jnp.uint32(9)).astype(dtype) + 0.5) * scale for word in (a, b, c, d))
+    return tuple(
+        ((word >> jnp.uint32(9)).astype(dtype) + 0.5) * scale for word in hashed(path, event, words)
+    )
+
+
+def spread(
+    u: tuple[Float[Array, "unit lane"], ...],
+    unit: UInt32[Array, " unit"],
+    event: UInt32[Array, ""],
+    words: UInt32[Array, " 2"],
+) -> tuple[Float[Array, "unit lane"], ...]:
+    """Four numbers per lane, of which the lanes of a unit share the unit interval: each has one
+    stratum of it to itself, dealt out anew for every number and event (McKay, Beckman & Conover
+    1979, Technometrics 21:239).  Every number is still uniform, and independent of the lane's
+    others; the number of lanes is a power of 2."""
+    lanes = u[0].shape[1]
+    if lanes == 1:
+        return u
+    mask = jnp.uint32(lanes - 1)
+    lane = jnp.arange(lanes, dtype=jnp.uint32)[None, :]
+    deals = hashed(unit, event, words ^ jnp.uint32(_DEAL))
+    top = 1.0 - 0.5 * float(jnp.finfo(u[0].dtype).eps)
+    dealt = []
+    for number, deal in zip(u, deals, strict=True):
+        bits = [(deal >> jnp.uint32(shift))[:, None] for shift in (8, 16, 24)]
+        stratum = (((lane ^ bits[0]) * (bits[1] | jnp.uint32(1))) ^ bits[2]) & mask
+        dealt.append(jnp.minimum((stratum.astype(number.dtype) + number) / lanes, top))
+    return tuple(dealt)
 
 
 def half_angle_table(
@@ -66,16 +101,6 @@ def half_angle_table(
     at = jnp.linspace(0.0, 1.0, BINS + 1, dtype=dtype)
     edges = jnp.interp(at, cumulative / cumulative[-1], grid)
     return edges.at[0].set(0.0).at[-1].set(1.0)
-
-
-def evened(tables: Float[Array, "layer edge"], share: float) -> Float[Array, "layer edge"]:
-    """Tables of the mixture that draws from all directions evenly with a probability `share`."""
-
-    def one(edges):
-        at = jnp.linspace(0.0, 1.0, edges.shape[0], dtype=edges.dtype)
-        return jnp.interp(at, (1.0 - share) * at + share * edges, edges)
-
-    return jax.vmap(one)(tables)
 
 
 def sample_half_angle(

@@ -9,7 +9,7 @@ from jaxtyping import Array, Float, UInt32
 from oceaninv.scene import Scene
 from oceaninv.transport import _paths, _walks, _weights
 from oceaninv.transport._converted import coloured, converted
-from oceaninv.transport._forward import Entry, enter, entry, onward, split
+from oceaninv.transport._forward import Entry, enter, entry, split
 from oceaninv.transport._paths import Domain, Flight, Lanes, Proposal
 from oceaninv.transport._walks import GROUP, Plan, World
 
@@ -86,7 +86,7 @@ def elastic(
 ) -> tuple[list[Tracks], Float[Array, "group event"]]:
     """Tracks of each source's light, inelastic events counted as absorption; what is gone from
     the water between one event and the next, in all bands."""
-    world = _walks.world(scene, words, onward(scene, proposal))
+    world = _walks.world(scene, words, proposal)
     light, groups = _entry(scene, plan)
     waters, bands = _weights.waters(scene), len(scene.wavelength)
     taken = jnp.stack([w.a for w in waters])
@@ -128,7 +128,7 @@ def inelastic(
     generations: int,
 ) -> list[Tracks]:
     """Tracks of each generation of light that has changed its wavelength; `entered` is 0."""
-    world = _walks.world(scene, words, onward(scene, proposal), spectral=True)
+    world = _walks.world(scene, words, proposal, spectral=True)
     light, groups = _entry(scene, plan)
     layers, bands = len(_weights.waters(scene)), len(scene.wavelength)
 

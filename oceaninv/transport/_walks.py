@@ -14,7 +14,7 @@ from oceaninv.iops import Layers
 from oceaninv.scene import Scene
 from oceaninv.transport import _paths, _weights
 from oceaninv.transport._paths import Domain, Flight, Lanes, Proposal, Vertex
-from oceaninv.transport._sampling import Vector, uniforms
+from oceaninv.transport._sampling import Vector, spread, uniforms
 from oceaninv.transport._weights import Medium
 from oceaninv.transport.base import Estimate
 
@@ -104,7 +104,7 @@ def walk(
         def step(carry, t, path=path, world=world):
             domain, proposal, medium, _ = world
             lanes, (whole, tail) = carry
-            u = uniforms(path, t, words, dtype)
+            u = spread(uniforms(path, t, words, dtype), unit, t, words)
             ahead = _paths.flight(domain, proposal, lanes)
             after, vertex = _paths.advance(domain, proposal, lanes, ahead, u)
             scores = score(world, lanes, ahead, after, vertex, t)

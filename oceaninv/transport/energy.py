@@ -79,13 +79,9 @@ def energy_budget(
     (regression on the balance of each group of walks).
 
     Raises ValueError for a scene with objects or lamps, whose light is not horizontally uniform,
-    for a sky that is not uniform, and for transports other than `MonteCarlo`.
+    and for a sky that is not uniform.
     """
     transport = MonteCarlo(2**15, 64) if transport is None else transport
-    if not isinstance(transport, MonteCarlo):
-        raise ValueError(
-            f"an energy budget follows walks: take MonteCarlo, not {type(transport).__name__}."
-        )
     if scene.objects or scene.lamps or scene.light.sky is not None:
         raise ValueError(
             "an energy budget is one number per constituent only in horizontally uniform water "
