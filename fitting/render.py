@@ -14,6 +14,8 @@ import numpy as np
 import oceaninv as oi
 from fitting.report import whole
 from oceaninv.transport.base import AbstractTransport
+from oceaninv.transport.front import check_ranges, check_rays
+from oceaninv.transport.ranged import ranged_radiance
 
 _PIECE = 2**14
 # What each transport is known to do, for the metadata (tests/acceptance states the cases).
@@ -76,6 +78,11 @@ def draw(
     """
     scene, camera = found.scene, found.camera
     rays = camera.rays()
+    check_rays(scene, rays)
+    ranges, ranged = found.ranges, None
+    if ranges is not None:
+        check_ranges(scene, ranges)
+        ranged = ranges.seen_by(camera)
     dtype = scene.light.direct.dtype
     origin, direction = np.asarray(rays.origin), np.asarray(rays.direction)
     count = origin.shape[0]
@@ -87,11 +94,17 @@ def draw(
         rows = np.minimum(np.arange(start, start + size), count - 1)
         lines = oi.Rays(jnp.asarray(origin[rows], dtype), jnp.asarray(direction[rows], dtype))
         key = jax.random.fold_in(random, start)
-        estimate = _piece(scene, lines, transport, key)
+        if ranges is None or ranged is None:
+            estimate = _piece(scene, lines, transport, key)
+            distance = _distance(scene, lines)
+        else:
+            part = jax.tree.map(lambda leaf, rows=rows: leaf[rows], ranged)
+            estimate = ranged_radiance(scene, lines, part, ranges.reflectance, transport, key)
+            distance = _distance(scene, lines)
+            distance = jnp.where(part.met, jnp.minimum(part.distance, distance), distance)
         seen.append(np.asarray(estimate.value))
         mean = max(float(np.mean(seen[-1])), 1e-30)
         worst = max(worst, float(np.max(np.asarray(estimate.stderr))) / mean)
-        distance = _distance(scene, lines)
         far.append(np.asarray(distance))
         if veil:
             # Just short of what ends the ray, so that only the water is left.

@@ -16,6 +16,7 @@ from oceaninv import (
     spectrum,
     tables,
     water,
+    waves,
 )
 from oceaninv.bio_optics import (
     CDOM,
@@ -34,6 +35,7 @@ from oceaninv.iops import IOPs, Layers
 from oceaninv.light import CardioidalSky, Light, PointLamp, SpotLamp, TabulatedSky
 from oceaninv.objects import Box, HeightField, Sphere
 from oceaninv.optics import Rays
+from oceaninv.range_map import RangeMap
 from oceaninv.scene import FlatSurface, Floor, Scene
 from oceaninv.scene_file import SceneFile, load_scene
 from oceaninv.transport import apparent
@@ -76,6 +78,7 @@ __all__ = [
     "PlaneParallel",
     "PointLamp",
     "Raman",
+    "RangeMap",
     "Rays",
     "Scene",
     "SceneFile",
@@ -105,4 +108,5 @@ __all__ = [
     "spectrum",
     "tables",
     "water",
+    "waves",
 ]

@@ -185,3 +185,30 @@ def grid(path: Path) -> np.ndarray:
         return np.loadtxt(path, delimiter=",", comments="#", ndmin=2)
     except ValueError as error:
         raise ValueError(f"{path} must hold rows of as many numbers each: {error}.") from None
+
+
+def picture(path: Path) -> np.ndarray:
+    """A picture, (row, column, channel): .npy, an .npz of one array, or what OpenImageIO reads
+    (integers as shares of the largest)."""
+    if path.suffix.lower() in (".npy", ".npz"):
+        try:
+            found = np.load(path, allow_pickle=False)
+        except (ValueError, OSError) as error:
+            raise ValueError(f"{path} holds no numpy array: {error}.") from None
+        if isinstance(found, np.lib.npyio.NpzFile):
+            if len(found.files) != 1:
+                raise ValueError(f"{path} must hold one array, not {len(found.files)}.")
+            found = found[found.files[0]]
+        pixels = np.asarray(found, dtype=float)
+        pixels = pixels[:, :, None] if pixels.ndim == 2 else pixels
+    else:
+        import OpenImageIO as oiio
+
+        source = oiio.ImageInput.open(str(path))
+        if source is None:
+            raise ValueError(f"{path} is no picture: {oiio.geterror()}.")
+        pixels = np.asarray(source.read_image("float"), dtype=float)
+        source.close()
+    if pixels.ndim != 3:
+        raise ValueError(f"{path} must be (row, column) or (row, column, channel) numbers.")
+    return pixels

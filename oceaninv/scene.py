@@ -11,15 +11,22 @@ from oceaninv.iops import IOPs, Layers, check_concrete
 from oceaninv.light import AbstractLamp, Light
 from oceaninv.objects import AbstractObject
 from oceaninv.optics import fresnel_from_air, refracted_cosine
+from oceaninv.waves import Waves
 
 
 class FlatSurface(eqx.Module):
-    """A calm air-water interface.  `index`: refractive index of the water, >= 1."""
+    """An air-water interface that is flat on the whole.
+
+    **Arguments:** `index`: refractive index of the water, >= 1; `waves`: whose caustics play on
+    the floor; for everything else the surface stays flat.  `None`: calm.
+    """
 
     index: Float[Array, ""]
+    waves: Waves | None
 
-    def __init__(self, index=1.34):
+    def __init__(self, index=1.34, waves=None):
         check_concrete("index", index, 1.0, 2.0)
+        self.waves = waves
         self.index = jnp.asarray(index, dtype=jnp.result_type(float, index))
 
 

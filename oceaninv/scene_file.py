@@ -8,12 +8,14 @@ import jax.numpy as jnp
 import numpy as np
 
 from oceaninv import spectrum
-from oceaninv._toml_section import Section, grid, numbers, read, spectra
+from oceaninv._toml_section import Section, grid, numbers, picture, read, spectra
 from oceaninv.camera import Camera, Sensor
 from oceaninv.light import AbstractLamp, Light, PointLamp, SpotLamp, clear_sky
 from oceaninv.objects import AbstractObject, Box, HeightField, Sphere
+from oceaninv.range_map import RangeMap, colour_parts
 from oceaninv.scene import FlatSurface, Floor, Scene
 from oceaninv.water_file import read_water
+from oceaninv.waves import Waves, random_waves
 
 _NO_LIMIT = 1e30
 
@@ -24,7 +26,8 @@ class SceneFile:
 
     `scene`, `camera`, `sensor`: as their classes say.  `kd`: (wl,) the measured Kd of a water that
     was given by one, for `KdTransport(kd)`; `None` otherwise.  `title`: text.  `daylight`: whether
-    all light is D65, whose fine structure `Response.smooth_weights` may use.
+    all light is D65, whose fine structure `Response.smooth_weights` may use.  `ranges`: a range map
+    for `photograph(..., ranges=)`, or `None`.
     """
 
     scene: Scene
@@ -33,6 +36,7 @@ class SceneFile:
     kd: np.ndarray | None
     title: str
     daylight: bool
+    ranges: RangeMap | None = None
 
 
 def load_scene(path: str | Path, *, bands: int | None = None) -> SceneFile:
@@ -51,7 +55,10 @@ def load_scene(path: str | Path, *, bands: int | None = None) -> SceneFile:
     surface = None
     if file.has("surface"):
         table = file.section("surface")
-        surface = FlatSurface(table.number("index", 1.0, 2.0, 1.34))
+        index, waves = table.number("index", 1.0, 2.0, 1.34), None
+        if table.has("waves"):
+            waves = _waves(table.section("waves"), azimuth)
+        surface = FlatSurface(index, waves)
         table.finish()
     floor = None
     if file.has("floor"):
@@ -74,12 +81,20 @@ def load_scene(path: str | Path, *, bands: int | None = None) -> SceneFile:
         raise file.section("camera").error(
             "position_m", camera.position.tolist(), f"above the floor at {float(floor.depth):g} m"
         )
+    ranges = None
+    if file.has("range_map"):
+        ranges = _ranges(file.section("range_map"), wavelength)
+        if objects or lamps or (surface is not None and surface.waves is not None):
+            raise ValueError(
+                f"{path}: a range_map holds all things that are seen: it goes without objects,"
+                " lamps and waves."
+            )
     file.finish()
     try:
         scene = Scene(water, light, surface, floor, objects, lamps)
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from None
-    return SceneFile(scene, camera, sensor, kd, title, day and not lamps)
+    return SceneFile(scene, camera, sensor, kd, title, day and not lamps, ranges)
 
 
 def _bands(table: Section, count: int | None) -> np.ndarray:
@@ -88,8 +103,15 @@ def _bands(table: Section, count: int | None) -> np.ndarray:
     high = table.number("to_nm", 200.0, 1000.0, 700.0)
     if high <= low:
         raise table.error("to_nm", high, f"more than from_nm = {low:g}")
+    spacing = table.text("spacing", ("equal", "cameras"), "equal")
     table.finish()
-    return spectrum.bands(given if count is None else count, low, high)
+    count = given if count is None else count
+    if spacing == "equal":
+        return spectrum.bands(count, low, high)
+    try:
+        return spectrum.camera_bands(count, low, high)
+    except ValueError as error:
+        raise ValueError(f"{table.path}: bands.spacing is 'cameras': {error}") from None
 
 
 class _Turn:
@@ -193,6 +215,44 @@ def _object(table: Section, wavelength: np.ndarray, turn: _Turn) -> AbstractObje
         )
     table.finish()
     return thing
+
+
+def _waves(table: Section, azimuth: float) -> Waves:
+    keys = {
+        "tile": table.number("tile_m", 0.1, 1e3, 4.0),
+        "slope": table.number("slope", 0.0, 0.3, 0.1),
+        "longest": table.number("longest_m", 0.01, 1e3, 2.0),
+        "shortest": table.number("shortest_m", 1e-3, 1e3, 0.2),
+        "wind": table.number("wind_azimuth_deg", -360.0, 360.0, 0.0) - azimuth,
+        "seed": table.integer("seed", 0, 2**31, 0),
+        "time": table.number("time_s", 0.0, 1e6, 0.0),
+    }
+    table.finish()
+    try:
+        return random_waves(**keys)
+    except ValueError as error:
+        raise ValueError(f"{table.path}: {table.name}: {error}") from None
+
+
+def _ranges(table: Section, wavelength: np.ndarray) -> RangeMap:
+    pixels = picture(table.file("range_m"))
+    if pixels.shape[2] != 1:
+        wanted = f"a map of one channel, not {pixels.shape[2]}"
+        raise table.error("range_m", table.text("range_m"), wanted)
+    reflectance, texture = _reflectance(table, wavelength)[None], None
+    if table.has("texture"):
+        texture = picture(table.file("texture"))[:, :, :3]
+        if texture.shape[:2] != pixels.shape[:2] or texture.shape[2] not in (1, 3):
+            wanted = f"a linear picture of 1 or 3 channels and the map's {pixels.shape[:2]} pixels"
+            raise table.error("texture", table.text("texture"), f"{wanted}, not {texture.shape}")
+        texture = np.clip(texture, 0.0, 1.0)
+        if texture.shape[2] == 3:
+            reflectance = reflectance * colour_parts(wavelength)
+    table.finish()
+    try:
+        return RangeMap(pixels[:, :, 0], reflectance, texture)
+    except ValueError as error:
+        raise ValueError(f"{table.path}: {table.name}: {error}") from None
 
 
 def _lamp(table: Section, wavelength: np.ndarray, turn: _Turn) -> AbstractLamp:

@@ -13,9 +13,9 @@ ROOT = Path(__file__).parents[1]
 FLOORS = (
     {"tables"},
     {"phase", "mie"},
-    {"iops", "particles", "water", "spectrum", "attenuation"},
+    {"iops", "particles", "water", "spectrum", "attenuation", "waves"},
     {"bio_optics", "media", "inelastic", "light", "optics", "camera", "objects", "mitsuba"},
-    {"scene", "scene_file", "water_file"},
+    {"scene", "range_map", "scene_file", "water_file"},
     {"transport"},
     {"fidelity"},
     {"__init__"},

@@ -223,3 +223,31 @@ def test_vmap_over_waters():
     both = jax.vmap(at)(jnp.asarray([1.0, 2.0]))
     np.testing.assert_allclose(both[0], at(jnp.asarray(1.0)), rtol=1e-12)
     np.testing.assert_allclose(both[1], at(jnp.asarray(2.0)), rtol=1e-12)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["floor", "endless layers"])
+def test_knots(kind):
+    """Tabulated sources against those integrated along each line of sight: second order in the
+    distance of the knots.  Worst measured with 48: 1.9e-3 (floor, horizontal), 1.3e-3 (endless)."""
+    phase = HenyeyGreenstein(0.9)
+    clear, turbid = water([0.05, 0.3], [0.2, 0.2], phase), water([0.3, 0.4], [0.9, 0.7], phase)
+    scene = (
+        bottomed(clear)
+        if kind == "floor"
+        else Scene(Layers(jnp.asarray([3.0]), (clear, turbid)), SKY, FlatSurface(1.34))
+    )
+    rng = np.random.default_rng(0)
+    direction = rng.normal(size=(60, 3))
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    origin = np.zeros((60, 3))
+    origin[:, 2] = rng.uniform(0.05, 5.5, 60)
+    rays = Rays(origin, direction, rng.uniform(0.3, 20.0, 60))
+    exact = PlaneParallel(8).radiance(scene, rays).value
+    found = [PlaneParallel(8, knots=n).radiance(scene, rays).value for n in (24, 48)]
+    errors = [np.sqrt(np.mean(np.square(f / exact - 1))) for f in found]
+    np.testing.assert_allclose(found[1], exact, rtol=2.5e-3)
+    assert errors[1] < 6e-4
+    assert errors[0] / errors[1] > 2.5
+    with pytest.raises(ValueError, match="knots must be at least 8"):
+        PlaneParallel(8, knots=7)

@@ -84,7 +84,7 @@ def _transport(name: str, found, steps: int, paths: int):
         "two-stream": oi.TwoStream,
         "four-stream": oi.FourStream,
         "kd": lambda: oi.KdTransport(found.kd),
-        "plane-parallel": oi.PlaneParallel,
+        "plane-parallel": lambda: oi.PlaneParallel(knots=48),
     }[name]()
     scene = found.scene
     return oi.Shadows(base, steps) if scene.objects or scene.lamps else base

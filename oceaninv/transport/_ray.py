@@ -35,11 +35,21 @@ class Stretch(NamedTuple):
     clear: Array  # transmittance from there to the eye
 
 
+def _shares(column: Column, z: Float[Array, ""]) -> Float[Array, "layer"]:
+    """What of each layer lies above depth z (m)."""
+    return jnp.clip((z - column.top) * column.rate, 0.0, 1.0)
+
+
+def depth_of(column: Column, z: Float[Array, ""]) -> Float[Array, ""]:
+    """Optical depth (delta-scaled) of depth z (m)."""
+    return column.start[0] + jnp.sum(_shares(column, z) * column.layer.depth)
+
+
 def stretches(column: Column, sight: Sight) -> tuple[Stretch, Float[Array, ""]]:
     """The stretches of a sight, and the transmittance to the surface or floor at its end."""
     depth, start = column.layer.depth, column.start
-    share = jnp.clip((sight.z - column.top) * column.rate, 0.0, 1.0)
-    here = start[0] + jnp.sum(share * depth)
+    share = _shares(column, sight.z)
+    here = depth_of(column, sight.z)
     length = jnp.where(sight.up, 1 - share, share) * depth
     top = start + jnp.where(sight.up, share * depth, 0.0)
     near = jnp.where(sight.up, top, top + length)

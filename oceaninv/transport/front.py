@@ -8,8 +8,10 @@ import numpy as np
 
 from oceaninv.camera import Camera
 from oceaninv.optics import Rays
+from oceaninv.range_map import RangeMap
 from oceaninv.scene import Scene
-from oceaninv.transport.base import AbstractTransport, Estimate, Irradiance
+from oceaninv.transport.base import AbstractTransport, Estimate, Irradiance, homogeneous
+from oceaninv.transport.ranged import ranged_radiance
 from oceaninv.transport.shadows import Shadows
 from oceaninv.transport.two_stream import TwoStream
 
@@ -30,21 +32,37 @@ def radiance(
     Raises ValueError for origins outside the water, directions that are not unit vectors and
     lengths that are not positive.
     """
-    _check_rays(scene, rays)
+    check_rays(scene, rays)
     return _able(scene, transport).radiance(scene, rays, key)
 
 
-def _check_rays(scene: Scene, rays: Rays) -> None:
+def check_rays(scene: Scene, rays: Rays) -> None:
+    """ValueError for concrete rays that `radiance` refuses."""
     scene.check_depths(rays.origin[:, 2])
     if not isinstance(rays.direction, jax.core.Tracer):
         norms = np.linalg.norm(np.asarray(rays.direction), axis=1)
         if not np.all(np.abs(norms - 1) < 1e-4):
             worst = norms[np.argmax(np.abs(norms - 1))]
             raise ValueError(f"rays.direction must hold unit vectors; one has length {worst:g}.")
+        _check_view(scene, np.asarray(rays.direction))
     if rays.length is not None and not isinstance(rays.length, jax.core.Tracer):
         lengths = np.asarray(rays.length)
         if not np.all(lengths > 0):
             raise ValueError(f"rays.length must be positive; the least is {lengths.min():g} m.")
+
+
+def _check_view(scene: Scene, direction: np.ndarray) -> None:
+    """ValueError for lines of sight that leave the water through waves."""
+    surface = scene.surface
+    if surface is None or surface.waves is None or isinstance(surface.index, jax.core.Tracer):
+        return
+    window = np.sqrt(1 - 1 / float(surface.index) ** 2)
+    if direction[:, 2].min() < -window:
+        raise ValueError(
+            "a view up through waves into the air is not modelled, only what they do to the light"
+            f" on the floor: look at most {np.degrees(np.arcsin(window)):.0f} degrees above the"
+            " horizon, or take a surface without waves."
+        )
 
 
 def irradiance(
@@ -61,18 +79,56 @@ def irradiance(
 
 
 def photograph(
-    scene: Scene, camera: Camera, transport: AbstractTransport | None = None, *, key=None
+    scene: Scene,
+    camera: Camera,
+    transport: AbstractTransport | None = None,
+    *,
+    ranges: RangeMap | None = None,
+    key=None,
 ) -> Estimate:
     """Linear channel values of a photograph, (row, column, channel).
 
     Radiance is taken as linear between the scene's wavelengths and integrated against the
     camera's response (unit: radiance x response x nm).  Objects and lamps are drawn by
-    `Shadows` around a transport that does not know them.
+    `Shadows` around a transport that does not know them.  `ranges` (keyword only): a range map of
+    this camera, whose things any transport lights and sees through the water.
+
+    Raises ValueError as `radiance` does, and for a range map beside objects, lamps or waves.
     """
-    transport = _able(scene, transport)
     rays = camera.rays()
-    _check_rays(scene, rays)
+    check_rays(scene, rays)
+    if ranges is not None:
+        check_ranges(scene, ranges)
+        seen = ranges.seen_by(camera)
+        base = TwoStream() if transport is None else transport
+        estimate = ranged_radiance(scene, rays, seen, ranges.reflectance, base, key)
+        return _channels(scene, camera, estimate)
+    transport = _able(scene, transport)
     return _photograph(scene, camera, rays, transport, key)
+
+
+def check_ranges(scene: Scene, ranges: RangeMap) -> None:
+    """ValueError for a range map that a scene has no place for."""
+    waves = scene.surface is not None and scene.surface.waves is not None
+    if scene.objects or scene.lamps or waves:
+        raise ValueError(
+            "a range map holds all things that are seen: it goes without objects, lamps and waves."
+        )
+    homogeneous(scene)
+    if ranges.reflectance.shape[1] != len(scene.wavelength):
+        raise ValueError(
+            f"the range map's reflectance has {ranges.reflectance.shape[1]} wavelengths, the scene"
+            f" {len(scene.wavelength)}."
+        )
+
+
+@eqx.filter_jit
+def _channels(scene: Scene, camera: Camera, seen: Estimate) -> Estimate:
+    weights = jnp.asarray(camera.response.weights(scene.wavelength), seen.value.dtype).T
+    shape = (camera.height, camera.width, weights.shape[1])
+    worst = jnp.abs(weights)
+    parts = (seen.value @ weights, seen.stderr @ worst, seen.bias @ worst)
+    return Estimate(*(v.reshape(shape) for v in parts))
 
 
 _PIECE = 2**15  # rays
@@ -121,6 +177,12 @@ def _able(scene: Scene, transport: AbstractTransport | None) -> AbstractTranspor
             f"{type(field).__name__} knows uniform skies only: take PlaneParallel, or a Light "
             "without sky, which spreads diffuse evenly."
         )
-    if (scene.objects or scene.lamps) and not transport.sees_things:
+    waves = scene.surface is not None and scene.surface.waves is not None
+    if waves and transport.sees_things and not isinstance(transport, Shadows):
+        raise ValueError(
+            f"{type(field).__name__} knows no waves: take a closed form or PlaneParallel, or a"
+            " surface without waves."
+        )
+    if (scene.objects or scene.lamps or waves) and not transport.sees_things:
         return Shadows(transport)
     return transport

@@ -13,7 +13,7 @@ from oceaninv._quadrature import Basis, angular_basis, double_gauss, legendre, s
 from oceaninv.iops import IOPs
 from oceaninv.optics import Rays, fresnel_from_water, scattering_half_sine
 from oceaninv.scene import Floor, Scene
-from oceaninv.transport import _column, _emission, _generations, _ray
+from oceaninv.transport import _column, _emission, _generations, _knots, _ray
 from oceaninv.transport.base import AbstractTransport, Estimate, Irradiance, deterministic
 
 
@@ -166,7 +166,7 @@ _BATCH = 64  # rays that are worked on at a time
 
 @eqx.filter_jit
 def _radiance(
-    scene: Scene, rays: Rays, streams: int, orders: int, generations: int
+    scene: Scene, rays: Rays, streams: int, orders: int, generations: int, knots: int | None
 ) -> Float[Array, "ray wl"]:
     columns, bases, sources = _solve(scene, streams, orders)
     cosine, sun = scene.beam()
@@ -185,8 +185,14 @@ def _radiance(
             down = emitted.field.bottom_down[0, :, -1] @ mean[1].flux
             floor_radiance = floor_radiance + 2 * scene.floor.reflectance * down
 
-    def gathered(z, direction):
+    table = None
+    if knots is not None:
+        endless = scene.floor is None
+        table = _knots.tabulate(columns, bases, knots, endless)
+
+    def gathered(sight_line):
         """Everything up to the surface or floor, and the transmittance to it, each (wl,)."""
+        z, direction = sight_line
         mu = jnp.maximum(jnp.abs(direction[2]), _HORIZON)
         sight = _ray.Sight(z, mu, direction[2] >= 0)
         level = safe_sqrt(direction[0] ** 2 + direction[1] ** 2)
@@ -197,11 +203,18 @@ def _radiance(
         half_sine = scattering_half_sine(direction[None], cosine)
         turned = 1 - 2 * half_sine**2
         vsf = jnp.stack([w.volume_scattering(turned)[0] for w in layers], axis=1)
-        over_wavelength = jax.vmap(_ray.multiple_scattering, (0, None, None, None))
-        multiple = jax.vmap(over_wavelength, (0, 0, None, 0))(columns, bases, sight, angular)
         single = jax.vmap(_ray.single_scattering, (0, None, 0, 0, None))
         clear = jax.vmap(lambda column: _ray.stretches(column, sight)[1])(mean[0])
-        total = azimuth @ multiple + single(mean[0], sight, vsf, sun, cosine)
+        total = single(mean[0], sight, vsf, sun, cosine)
+        if table is None:
+            over_wavelength = jax.vmap(_ray.multiple_scattering, (0, None, None, None))
+            multiple = jax.vmap(over_wavelength, (0, 0, None, 0))(columns, bases, sight, angular)
+            total = total + azimuth @ multiple
+        else:
+            odd = (np.arange(orders)[:, None] + np.arange(moments)) % 2 == 1
+            towards = azimuth[:, None] * jnp.where(sight.up & odd, -angular, angular)
+            here = jax.vmap(_ray.depth_of, (0, None))(mean[0], z)
+            total = total + jax.vmap(_knots.seen, (0, 0, None, None))(table, here, sight, towards)
         if emitted is not None:
             parts = jax.tree.map(lambda leaf: leaf[:glowing], (columns, emitted, bases))
             along = jax.vmap(_emission.along, (0, 0, None, None, None))
@@ -210,37 +223,43 @@ def _radiance(
             total = total + azimuth[:glowing] @ each
         return total, clear
 
-    def endless(z, direction):
-        inside, clear = gathered(z, direction)
-        down = direction[2] >= 0
-        floor = jnp.zeros_like(sun) if floor_radiance is None else floor_radiance
-        steep = jnp.maximum(jnp.abs(direction[2]), _HORIZON)
-        sky = scene.light.sky_radiance(_in_air(scene, steep)[None])[0]
-        if scene.surface is not None:
-            index = scene.surface.index.astype(z.dtype)
-            reflectance = fresnel_from_water(steep, index)
-            mirrored, through = gathered(jnp.zeros_like(z), direction.at[2].set(steep))
-            sky = (1 - reflectance) * index**2 * sky + reflectance * (mirrored + floor * through)
-        return inside + clear * jnp.where(down, floor, sky)
-
-    def one(ray):
-        origin, direction, length = ray
-        whole = endless(origin[2], direction)
-        if length is None:
-            return whole
-        end = origin[2] + length * direction[2]
+    # One program gathers the light of all lines of sight: those of the eye, their images in the
+    # surface and what lies beyond the ends of finite rays.
+    z, direction = rays.origin[:, 2], rays.direction
+    steep = jnp.maximum(jnp.abs(direction[:, 2]), _HORIZON)
+    sights = [(z, direction)]
+    if scene.surface is not None:
+        mirrored = jnp.concatenate([direction[:, :2], steep[:, None]], axis=1)
+        sights.append((jnp.zeros_like(z), mirrored))
+    if rays.length is not None:
+        end = z + rays.length * direction[:, 2]
         ended = end >= 0
         if scene.floor is not None:
             ended = ended & (end <= scene.floor.depth)
-        end = jnp.where(ended, end, origin[2])
-        # The light that left the beam by scattering forward is light that arrives: the whole
-        # attenuation, not the delta-scaled one, separates the two ends.
-        path = _path(scene, origin[2], end, jnp.where(ended, length, 0.0))
-        beyond = jnp.exp(-(path @ attenuation)) * endless(end, direction)
-        return jnp.where(ended, whole - beyond, whole)
-
-    batch = (rays.origin, rays.direction, rays.length)
-    return jax.lax.map(one, batch, batch_size=_BATCH)
+        end = jnp.where(ended, end, z)
+        sights.append((end, direction))
+    every = tuple(jnp.concatenate(parts) for parts in zip(*sights, strict=True))
+    batch = _BATCH if table is None else 4 * _BATCH
+    lights, clears = jax.lax.map(gathered, every, batch_size=batch)
+    pairs = list(zip(jnp.split(lights, len(sights)), jnp.split(clears, len(sights)), strict=True))
+    floor = jnp.zeros_like(sun) if floor_radiance is None else floor_radiance
+    background = scene.light.sky_radiance(_in_air(scene, steep))
+    if scene.surface is not None:
+        index = scene.surface.index.astype(z.dtype)
+        reflectance = fresnel_from_water(steep, index)[:, None]
+        image, through = pairs[1]
+        background = (1 - reflectance) * index**2 * background
+        background = background + reflectance * (image + floor[None, :] * through)
+    background = jnp.where(direction[:, 2:] >= 0, floor[None, :], background)
+    whole = pairs[0][0] + pairs[0][1] * background
+    if rays.length is None:
+        return whole
+    # The light that left the beam by scattering forward is light that arrives: the whole
+    # attenuation, not the delta-scaled one, separates the two ends.
+    path = jax.vmap(_path, (None, 0, 0, 0))(scene, z, end, jnp.where(ended, rays.length, 0.0))
+    beyond = pairs[-1][0] + pairs[-1][1] * background
+    beyond = jnp.exp(-(path @ attenuation)) * beyond
+    return jnp.where(ended[:, None], whole - beyond, whole)
 
 
 def _path(scene: Scene, z, end, length) -> Float[Array, "layer"]:
@@ -285,7 +304,10 @@ class PlaneParallel(AbstractTransport):
     - **Neglects**: waves, polarisation, the sun's own disc in radiances.
     - **Dials**: `streams` directions per hemisphere, each with two Legendre moments (7/4 under a
       surface); `orders` of azimuth kept in radiances (default: as many as streams; fluxes need
-      one, and so do radiances under a sun in the zenith); `generations`.
+      one, and so do radiances under a sun in the zenith); `generations`; `knots` depths per layer
+      at which source functions are tabulated for all lines of sight (at least 8), or None: every
+      line is integrated exactly.  For pictures: with 48 knots a ray costs a tenth and errs by
+      1e-3 more at most (`test_knots`).
     - **Cost** per wavelength on one core in float64, 16 streams, 10 depths: 0.1 ms; it grows as
       streams^3 and linearly in layers, orders and wavelengths.
     - **Measured error** (`tests/test_plane_parallel.py`, `tests/test_discrete_ordinates.py`):
@@ -301,16 +323,23 @@ class PlaneParallel(AbstractTransport):
     are split at the critical cosine, where the reflectance has a square-root singularity, and
     Gaussian in the cosine in air inside Snell's cone.
 
-    Raises ValueError for less than 2 streams, 1 order or 1 generation.
+    Raises ValueError for less than 2 streams, 1 order, 1 generation or 8 knots.
     """
 
     streams: int = eqx.field(static=True)
     orders: int = eqx.field(static=True)
     generations: int = eqx.field(static=True)
+    knots: int | None = eqx.field(static=True)
     inelastic: ClassVar[bool] = True
     any_sky: ClassVar[bool] = True
 
-    def __init__(self, streams: int = 16, orders: int | None = None, generations: int = 1):
+    def __init__(
+        self,
+        streams: int = 16,
+        orders: int | None = None,
+        generations: int = 1,
+        knots: int | None = None,
+    ):
         if streams < 2:
             raise ValueError(f"streams must be at least 2 per hemisphere, not {streams}.")
         orders = streams if orders is None else orders
@@ -320,7 +349,10 @@ class PlaneParallel(AbstractTransport):
             raise ValueError(f"generations must be at least 1, not {generations}.")
         self.streams = streams
         self.orders = orders
+        if knots is not None and knots < 8:
+            raise ValueError(f"knots must be at least 8 per layer, or None, not {knots}.")
         self.generations = generations
+        self.knots = knots
 
     def fluxes(self, scene: Scene, depths: Float[Array, " depth"]) -> Fluxes:
         """Plane and scalar irradiances of either hemisphere at depths (m), each (depth, wl)."""
@@ -340,4 +372,6 @@ class PlaneParallel(AbstractTransport):
 
     def radiance(self, scene: Scene, rays: Rays, key: Key[Array, ""] | None = None) -> Estimate:
         """See `oceaninv.radiance`."""
-        return deterministic(_radiance(scene, rays, self.streams, self.orders, self.generations))
+        return deterministic(
+            _radiance(scene, rays, self.streams, self.orders, self.generations, self.knots)
+        )

@@ -3,6 +3,7 @@
 import dataclasses
 from typing import NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Key
@@ -11,12 +12,13 @@ from oceaninv._numerics import exp_mean, safe_sqrt
 from oceaninv.objects import Box, HeightField, Sphere, blocked, nearest
 from oceaninv.optics import Rays, fresnel_from_water, scattering_half_sine
 from oceaninv.scene import Scene
+from oceaninv.transport import _facets
 from oceaninv.transport._lamplight import lamplight
 from oceaninv.transport._moments import Scaled
 from oceaninv.transport._shell import ENDLESS
 from oceaninv.transport.base import AbstractTransport, Estimate, Irradiance, homogeneous
+from oceaninv.waves import caustics, looked_up
 
-_DEPTHS = 65  # at which the light on objects is computed; between them its logarithm is linear
 _STEEP = 1e-3
 
 
@@ -40,10 +42,12 @@ class Shadows(AbstractTransport):
     - **Solves**: objects as Lambertian surfaces under the sun, where it reaches them, and under
       the diffuse light of their depth; the water in front of them; their shadows on the floor, on
       each other and in sunlight scattered once; their images in the surface; lamps with single
-      scattering.
+      scattering; the caustics of waves on the floor, of the sun's unscattered light, where
+      objects leave it free.
     - **Neglects**: the diffuse light that objects take from each other, from the floor and from
       the water; blur by scattering through small angles at the edges of shadows; lamplight
-      scattered more than once; layers (ValueError).
+      scattered more than once; caustics on objects, in the water and mirrored in the surface;
+      layers (ValueError).
     - **Cost**: that of `base` at two rays per ray (four with a surface), and one intersection per
       object, ray and step.
     - **Differentiable in** everything that `base` is; shadows have hard edges, whose motion the
@@ -57,49 +61,77 @@ class Shadows(AbstractTransport):
 
     def radiance(self, scene: Scene, rays: Rays, key: Key[Array, ""] | None = None) -> Estimate:
         """See `oceaninv.radiance`."""
-        bare = _bare(scene)
-        whole = self._seen(scene, bare, rays, key)
-        if scene.surface is None or not scene.objects or rays.length is not None:
+        return _drawn(self, scene, rays, key)
+
+    def _whole(self, scene: Scene, rays: Rays, key) -> Estimate:
+        """Radiance along rays, with caustics and what is mirrored in the surface."""
+        line = _line(scene, rays)
+        whole = self._with_images(scene, line, key)
+        if scene.floor is None or scene.surface is None or scene.surface.waves is None:
             return whole
-        free = (rays.direction[:, 2] < 0) & ~_meet(scene, rays)[1]
-        extra = _where_any(free, lambda: self._mirrored(scene, bare, rays, free, key), whole.value)
+        return Estimate(whole.value + _caustics(scene, line), whole.stderr, whole.bias)
+
+    def _with_images(self, scene: Scene, line, key) -> Estimate:
+        rays, bare = line.rays, _bare(scene)
+        light = self._light(scene, bare, key)
+        if scene.surface is None or not scene.objects or rays.length is not None:
+            return self._seen(scene, line, self._water(bare, line, key), light)
+        mirrored, share = _images(scene, rays)
+        free = (rays.direction[:, 2] < 0) & ~line.met
+        second = _line(scene, mirrored)
+        endless = second._replace(length=jnp.full_like(second.length, ENDLESS))
+
+        def change(water, alone):
+            return self._seen(scene, second, water, light).value - alone.value
+
+        if self.base.in_pieces:
+            # Cheap to compile again: pieces of a picture without such rays save the work.
+            whole = self._seen(scene, line, self._water(bare, line, key), light)
+            extra = _where_any(
+                free,
+                lambda: change(self._water(bare, second, key), self._water(bare, endless, key)),
+                whole.value,
+            )
+        else:
+            water, *images = self._together(bare, (line, second, endless), key)
+            whole = self._seen(scene, line, water, light)
+            extra = _where_any(free, lambda: change(*images), whole.value)
+        extra = jnp.where(free[:, None], share * extra, 0.0)
         return Estimate(whole.value + extra, whole.stderr, whole.bias)
 
-    def _mirrored(self, scene: Scene, bare: Scene, rays: Rays, free, key):
-        """What objects change in the light that the surface throws back at the eye."""
-        assert scene.surface is not None
-        z, steep = rays.origin[:, 2], jnp.maximum(jnp.abs(rays.direction[:, 2]), _STEEP)
-        rise = z / steep
-        turned = jnp.concatenate([rays.direction[:, :2], steep[:, None]], axis=1)
-        turned = turned / jnp.linalg.norm(turned, axis=1, keepdims=True)
-        across = rays.origin[:, :2] + rise[:, None] * rays.direction[:, :2]
-        mirrored = Rays(jnp.concatenate([across, jnp.zeros_like(rise)[:, None]], axis=1), turned)
-        change = self._seen(scene, bare, mirrored, key).value
-        change = change - self.base.radiance(bare, mirrored, key).value
-        index = scene.surface.index.astype(z.dtype)
-        share = jnp.where(free, fresnel_from_water(steep, index), 0.0)
-        thinned = jnp.exp(-Scaled(homogeneous(scene)).softened.c_star[None, :] * rise[:, None])
-        return share[:, None] * thinned * change
+    def _water(self, bare: Scene, line, key) -> Estimate:
+        """Light of the water along lines of sight, with the floor and the sky at their ends."""
+        rays = line.rays
+        return self.base.radiance(bare, Rays(rays.origin, rays.direction, line.length), key)
+
+    def _together(self, bare: Scene, lines, key) -> list[Estimate]:
+        """`_water` of several sets of lines by one program."""
+        origin, direction, length = (
+            jnp.concatenate(parts)
+            for parts in zip(
+                *((x.rays.origin, x.rays.direction, x.length) for x in lines), strict=True
+            )
+        )
+        found = self.base.radiance(bare, Rays(origin, direction, length), key)
+        cut = [jnp.split(v, len(lines)) for v in (found.value, found.stderr, found.bias)]
+        return [Estimate(*parts) for parts in zip(*cut, strict=True)]
 
     def irradiance(
         self, scene: Scene, depths: Float[Array, " depth"], key: Key[Array, ""] | None = None
     ) -> Irradiance:
-        """ValueError: with objects, irradiance is not a function of depth alone."""
+        """ValueError with objects or lamps: irradiance is not a function of depth alone."""
+        if not scene.objects and not scene.lamps:
+            return self.base.irradiance(scene, depths, key)  # of waves, the mean over a tile
         raise ValueError(
             "Shadows draws pictures; irradiance at a depth is not one number where objects or lamps"
             " stand: take MonteCarlo, or leave them out."
         )
 
-    def _seen(self, scene: Scene, bare: Scene, rays: Rays, key) -> Estimate:
-        """Radiance along rays, without what is mirrored in the surface."""
-        hit, met = _meet(scene, rays)
-        distance = jnp.where(met, hit.distance, ENDLESS)
-        length = distance if rays.length is None else jnp.minimum(distance, rays.length)
-        met = met & (distance <= length)
-        # An object that touches the eye ends the ray at once.
-        length = jnp.maximum(length, 1e-6)
+    def _seen(self, scene: Scene, line, path: Estimate, light) -> Estimate:
+        """Radiance along lines of sight, without what is mirrored in the surface, given the light
+        of the water along them and that on objects."""
+        rays, hit, met, length = line
         water = homogeneous(scene)
-        path = self.base.radiance(bare, Rays(rays.origin, rays.direction, length), key)
         value = path.value
         floor = _to_floor(scene, rays)
         if floor is not None:
@@ -111,8 +143,8 @@ class Shadows(AbstractTransport):
         at = rays.origin + near[:, None] * rays.direction
         through = jnp.exp(-water.c[None, :] * near[:, None])
         if scene.objects:
-            light = _where_any(met, lambda: self._on_objects(scene, bare, hit, at, key), value)
-            shown = jnp.where(met[:, None], light, 0.0)
+            sent = _where_any(met, lambda: _on_objects(scene, light, hit, at), value)
+            shown = jnp.where(met[:, None], sent, 0.0)
             if scene.floor is not None:
                 shown = shown - _floor_shadow(scene, at, on_floor)
             value = value + shown * through
@@ -127,34 +159,14 @@ class Shadows(AbstractTransport):
             )
         return Estimate(value, path.stderr, path.bias)
 
-    def _on_objects(self, scene: Scene, bare: Scene, hit: Met, at, key) -> Float[Array, "ray wl"]:
-        """Radiance that objects send to the eye: sun where it reaches them, and diffuse light."""
+    def _light(self, scene: Scene, bare: Scene, key) -> _facets.Lit | None:
+        """The light on objects."""
+        if not scene.objects:
+            return None
         extents = [thing.extent() for thing in scene.objects]
         top = jnp.min(jnp.stack([extent[0] for extent in extents]))
         bottom = jnp.max(jnp.stack([extent[1] for extent in extents]))
-        if scene.floor is not None:
-            bottom = jnp.minimum(bottom, scene.floor.depth)
-        share = jnp.linspace(0.0, 1.0, _DEPTHS, dtype=at.dtype)
-        depths = top + share * (bottom - top)
-        light = self.base.irradiance(bare, depths, key)
-        mu0, beam = scene.beam()
-        c_star = Scaled(homogeneous(scene)).softened.c_star
-        sun = beam[None, :] * jnp.exp(-c_star[None, :] * depths[:, None] / mu0)
-        place = jnp.clip((at[:, 2] - top) / (bottom - top), 0.0, 1.0) * (_DEPTHS - 1)
-        diffuse = jnp.maximum(light.Ed.value - mu0 * sun, 0.0)
-        scalar = jnp.maximum(light.E0.value - sun, 0.0)
-        fields = (diffuse, light.Eu.value, scalar, sun)
-        down, up, around, sun = (_between(v, place) for v in fields)
-        # A level facet takes plane irradiance; an upright one a quarter of the scalar irradiance,
-        # as of light that grows linearly with the cosine; between them a parabola.
-        level = -hit.normal[:, 2:]
-        side = around / 4.0
-        irradiance = side + level * (down - up) / 2.0 + level**2 * ((down + up) / 2.0 - side)
-        towards = _to_sun(scene)
-        facing = hit.normal @ towards
-        free = (facing > 0) & ~_blocked(scene, at, towards)
-        irradiance = irradiance + sun * jnp.where(free, facing, 0.0)[:, None]
-        return hit.reflectance / jnp.pi * irradiance
+        return _facets.light(self.base, bare, top, bottom, key)
 
     def _shaded_path(self, scene: Scene, rays: Rays, stretch) -> Float[Array, "ray wl"]:
         """Sunlight that would be scattered once into rays, had objects not blocked it.
@@ -190,14 +202,50 @@ class Shadows(AbstractTransport):
         return turned * beam[None, :] * begin * width[:, None] * mean * total
 
 
+@eqx.filter_jit
+def _drawn(transport: Shadows, scene: Scene, rays: Rays, key) -> Estimate:
+    return transport._whole(scene, rays, key)
+
+
+class _Line(NamedTuple):
+    """Lines of sight and where they end: at an object if `met`, or at `length` metres."""
+
+    rays: Rays
+    hit: Met
+    met: Bool[Array, " ray"]
+    length: Float[Array, " ray"]
+
+
+def _line(scene: Scene, rays: Rays) -> _Line:
+    hit, met = _meet(scene, rays)
+    distance = jnp.where(met, hit.distance, ENDLESS)
+    length = distance if rays.length is None else jnp.minimum(distance, rays.length)
+    # An object that touches the eye ends the ray at once.
+    return _Line(rays, hit, met & (distance <= length), jnp.maximum(length, 1e-6))
+
+
+def _images(scene: Scene, rays: Rays) -> tuple[Rays, Float[Array, "ray wl"]]:
+    """Lines of sight that look up, mirrored in the surface, and what of their light arrives."""
+    assert scene.surface is not None
+    z, steep = rays.origin[:, 2], jnp.maximum(jnp.abs(rays.direction[:, 2]), _STEEP)
+    rise = z / steep
+    turned = jnp.concatenate([rays.direction[:, :2], steep[:, None]], axis=1)
+    turned = turned / jnp.linalg.norm(turned, axis=1, keepdims=True)
+    across = rays.origin[:, :2] + rise[:, None] * rays.direction[:, :2]
+    mirrored = Rays(jnp.concatenate([across, jnp.zeros_like(rise)[:, None]], axis=1), turned)
+    share = fresnel_from_water(steep, scene.surface.index.astype(z.dtype))
+    thinned = jnp.exp(-Scaled(homogeneous(scene)).softened.c_star[None, :] * rise[:, None])
+    return mirrored, share[:, None] * thinned
+
+
+def _on_objects(scene: Scene, light: _facets.Lit, hit: Met, at) -> Float[Array, "ray wl"]:
+    """Radiance that objects send to the eye: sun where it reaches them, and diffuse light."""
+    free = ~_blocked(scene, at, _facets.to_sun(scene))
+    return hit.reflectance / jnp.pi * _facets.irradiance(scene, light, at, hit.normal, free)
+
+
 def _bare(scene: Scene) -> Scene:
     return dataclasses.replace(scene, objects=(), lamps=())
-
-
-def _to_sun(scene: Scene) -> Float[Array, "3"]:
-    """Unit vector in the water towards the sun."""
-    mu0 = scene.beam()[0]
-    return jnp.stack([safe_sqrt(1.0 - mu0**2), jnp.zeros_like(mu0), -mu0])
 
 
 def _blocked(scene: Scene, at, towards) -> Bool[Array, " ray"]:
@@ -233,19 +281,32 @@ def _floor_shadow(scene: Scene, at, on_floor) -> Float[Array, "ray wl"]:
     """Radiance that the floor lacks where an object stands between it and the sun."""
     assert scene.floor is not None
     mu0, beam = scene.beam()
-    dark = on_floor & _blocked(scene, at, _to_sun(scene))
+    dark = on_floor & _blocked(scene, at, _facets.to_sun(scene))
     c_star = Scaled(homogeneous(scene)).softened.c_star
     sun = mu0 * beam * jnp.exp(-c_star * scene.floor.depth / mu0)
     return jnp.where(dark[:, None], (scene.floor.reflectance * sun / jnp.pi)[None, :], 0.0)
 
 
-def _between(values: Float[Array, "depth wl"], place: Float[Array, " ray"]):
-    """Values at fractional rows, linear in their logarithm."""
-    tiny = jnp.asarray(1e-30, values.dtype)
-    logs = jnp.log(jnp.maximum(values, tiny))
-    low = jnp.clip(jnp.floor(place).astype(int), 0, values.shape[0] - 2)
-    part = (place - low.astype(place.dtype))[:, None]
-    return jnp.exp((1.0 - part) * logs[low] + part * logs[low + 1])
+def _caustics(scene: Scene, line: _Line) -> Float[Array, "ray wl"]:
+    """What waves add to the light of the floor (or take from it), 0 on average over a tile."""
+    surface, floor, rays = scene.surface, scene.floor, line.rays
+    far = _to_floor(scene, rays)
+    assert floor is not None
+    assert surface is not None
+    assert surface.waves is not None
+    assert far is not None
+    lit = ~line.met & (rays.direction[:, 2] > _STEEP) & (far <= line.length)
+    far = jnp.where(lit, far, 0.0)
+    at = rays.origin + far[:, None] * rays.direction
+    if scene.objects:
+        lit = lit & ~_blocked(scene, at, _facets.to_sun(scene))
+    pattern = caustics(surface.waves, scene.light.cosine, surface.index, floor.depth)
+    change = looked_up(pattern.astype(at.dtype), surface.waves.tile, at[:, 0], at[:, 1]) - 1.0
+    mu0, beam = scene.beam()
+    c = homogeneous(scene).c
+    sun = mu0 * beam * jnp.exp(-c * floor.depth / mu0)
+    arriving = (floor.reflectance / jnp.pi * sun)[None, :] * jnp.exp(-c[None, :] * far[:, None])
+    return jnp.where(lit, change, 0.0)[:, None] * arriving
 
 
 def _bounds(thing) -> tuple[Float[Array, "3"], Float[Array, ""]]:
@@ -280,7 +341,7 @@ class _Stretch(NamedTuple):
             dark = dark | ((t > enter) & (t < leave))
         others = tuple(thing for thing in scene.objects if not isinstance(thing, Sphere))
         if others:
-            x, towards = rays.origin + t[:, None] * rays.direction, _to_sun(scene)
+            x, towards = rays.origin + t[:, None] * rays.direction, _facets.to_sun(scene)
             far = jnp.asarray(jnp.inf, t.dtype)
             dark = dark | jax.vmap(lambda y: blocked(others, y, towards, far))(x)
         return dark
@@ -294,7 +355,7 @@ def _where_any(lanes, compute, like):
 def _possible(scene: Scene, rays: Rays, end) -> _Stretch:
     """Where rays cross the cylinders behind the objects' bounding spheres; for a sphere, that is
     its shadow, which begins at its middle: what lies before is the sphere itself."""
-    towards = _to_sun(scene)
+    towards = _facets.to_sun(scene)
     first, last = jnp.full_like(end, ENDLESS), jnp.zeros_like(end)
     along = rays.direction @ towards
     across = rays.direction - along[:, None] * towards[None, :]

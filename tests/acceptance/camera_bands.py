@@ -31,43 +31,64 @@ from fitting.render import display_matrix  # noqa: E402
 
 SCENE = Path(__file__).parents[2] / "scenes" / "three_spheres.toml"
 WATERS = (("3C", 3.0), ("3C", 9.0), ("I", 5.0), ("IA", 9.0), ("IB", 5.0), ("II", 3.0))
-COUNTS = (3, 8, 16, 32)
+COUNTS = (3, 8, 12, 16, 32)
 CAMERAS = 28
 
 
-def radiances(bands: int) -> list[np.ndarray]:
+def grids(count: int):
+    """(kind of weights, wavelengths) of so many bands."""
+    equal = oi.spectrum.bands(count, 400, 650)
+    yield "linear", equal
+    yield "smooth", equal
+    if count in (8, 12):
+        yield "smooth, camera_bands", oi.spectrum.camera_bands(count, 400, 650)
+
+
+def radiances(wavelength) -> list[np.ndarray]:
     """(ray, wl) in each water."""
     rng = np.random.default_rng(7)
     direction = rng.normal(size=(60, 3))
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
-    base = oi.load_scene(SCENE, bands=bands).scene
+    base = oi.load_scene(SCENE, bands=8).scene
+    day = jnp.asarray(oi.spectrum.daylight(wavelength))
+    sky = base.light.diffuse[0] / base.light.direct[0] * day
+    light = oi.Light(base.light.zenith, day, sky)
+    reflectance = jnp.full(len(wavelength), base.floor.reflectance[0])
     results = []
     for kind, depth in WATERS:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            water = oi.jerlov(kind, base.wavelength)
-        floor = oi.Floor(depth, base.floor.reflectance)
-        scene = dataclasses.replace(base, water=water, floor=floor, objects=())
+            water = oi.jerlov(kind, wavelength)
+        floor = oi.Floor(depth, reflectance)
+        scene = dataclasses.replace(base, water=water, light=light, floor=floor, objects=())
         rays = oi.Rays([0.0, 0.0, depth - 1.5], jnp.asarray(direction))
         results.append(np.asarray(jax.jit(lambda s, r: oi.radiance(s, r).value)(scene, rays)))
     return results
 
 
+def names_of(rows) -> list[str]:
+    """28 of the cameras of a file, evenly through their names."""
+    every = sorted({row[0] for row in rows})
+    return [every[i] for i in np.linspace(0, len(every) - 1, CAMERAS).round().astype(int)]
+
+
+def read_responses(rows):
+    """(name, response) of every camera; columns: camera, wavelength_nm, R, G, B."""
+    for name in sorted({row[0] for row in rows}):
+        table = np.array([row[1:5] for row in rows if row[0] == name], dtype=float).T
+        values = table[1:] / table[2].max()
+        yield name, oi.spectrum.Response(values, table[0], ("R", "G", "B"))
+
+
 def responses():
-    """Names and responses of the measured cameras: 28 of a file's, evenly through its names, or
-    those that come with the project.  The file's columns: camera, wavelength_nm, R, G, B."""
+    """Names and responses of the measured cameras: 28 of a file's or the project's own."""
     if len(sys.argv) < 2:
         names = list(oi.spectrum.camera_names())
         return names, [oi.spectrum.camera_response(name) for name in names]
     with open(sys.argv[1], encoding="utf-8") as file:
         rows = list(csv.reader(line for line in file if not line.startswith("#")))[1:]
-    every = sorted({row[0] for row in rows})
-    names = [every[i] for i in np.linspace(0, len(every) - 1, CAMERAS).round().astype(int)]
-    found = []
-    for name in names:
-        table = np.array([row[1:5] for row in rows if row[0] == name], dtype=float).T
-        found.append(oi.spectrum.Response(table[1:] / table[2].max(), table[0], ("R", "G", "B")))
-    return names, found
+    names = names_of(rows)
+    return names, [response for name, response in read_responses(rows) if name in names]
 
 
 def run() -> str:
@@ -75,8 +96,8 @@ def run() -> str:
     import colour
 
     names, cameras = responses()
-    fine = radiances(64)
     grid = oi.spectrum.bands(64, 400, 650)
+    fine = radiances(grid)
     daylight = oi.spectrum.daylight(grid)
     lines = [
         "# How many bands a picture needs",
@@ -89,15 +110,15 @@ def run() -> str:
         "|---|---|---|---|---|---|",
     ]
     light = oi.spectrum.daylight_table()
-    drawn = {count: radiances(count) for count in COUNTS}
-    for count, smooth in [(n, s) for n in COUNTS for s in (False, True)]:
-        coarse = drawn[count]
+    for count, kind, few_grid in [(n, *pair) for n in COUNTS for pair in grids(n)]:
+        coarse = radiances(few_grid)
         differences, rms = [], []
         for response in cameras:
             matrix = display_matrix(response)
-            few_grid = oi.spectrum.bands(count, 400, 650)
             found = (
-                response.smooth_weights(few_grid, light) if smooth else response.weights(few_grid)
+                response.weights(few_grid)
+                if kind == "linear"
+                else response.smooth_weights(few_grid, light)
             )
             weights = [np.asarray(w).T for w in (found, response.smooth_weights(grid, light))]
             white = matrix @ (weights[1].T @ daylight) / np.pi
@@ -117,7 +138,7 @@ def run() -> str:
         d = np.concatenate(differences)
         row = (np.median(d), np.percentile(d, 95), np.max(d))
         lines.append(
-            f"| {count} | {'smooth' if smooth else 'linear'} | "
+            f"| {count} | {kind} | "
             + " | ".join(f"{v:.2f}" for v in row)
             + f" | {np.median(rms):.4f} |"
         )
