@@ -13,19 +13,12 @@ import numpy as np
 
 import oceaninv as oi
 from fitting.report import whole
+from oceaninv.fidelity import expected_error
 from oceaninv.transport.base import AbstractTransport
 from oceaninv.transport.front import check_ranges, check_rays
 from oceaninv.transport.ranged import ranged_radiance
 
 _PIECE = 2**14
-# What each transport is known to do, for the metadata (tests/acceptance states the cases).
-_STATED_ERROR = {
-    "TwoStream": "radiance: median 6 %, 90th percentile 21 %",
-    "FourStream": "radiance: median 4 %, 90th percentile 12 %",
-    "KdTransport": "radiance: median 12 %, 90th percentile 35 %",
-    "PlaneParallel": "radiance: median of the worst twentieth of directions 1.4 %",
-    "MonteCarlo": "random: see stderr",
-}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -174,6 +167,31 @@ def _linear_srgb() -> np.ndarray:
     )
 
 
+def _predicted(found: oi.SceneFile, transport) -> dict:
+    """The error to expect of a picture's channels (root mean square over the mean, of the worst
+    channel), and what it does not cover."""
+    scene = found.scene
+    things = [name for name in ("objects", "lamps") if getattr(scene, name)]
+    if found.ranges is not None:
+        things.append("range map")
+    if scene.surface is not None and scene.surface.waves is not None:
+        things.append("waves")
+    bare = dataclasses.replace(scene, objects=(), lamps=())
+    try:
+        error = expected_error(
+            bare,
+            transport,
+            "photograph",
+            depth=float(found.camera.position[2]),
+            response=found.camera.response,
+        )
+    except ValueError as reason:
+        random = type(transport).__name__ == "MonteCarlo"
+        return {"predicted_error": "random: see largest_stderr" if random else str(reason)}
+    covered = "water, floor and sky" + (f", not {' and '.join(things)}" if things else "")
+    return {"predicted_error": float(f"{error:.2g}"), "predicted_error_covers": covered}
+
+
 def metadata(path: Path, found: oi.SceneFile, transport, seed: int, picture: Picture) -> str:
     """What made a picture, as JSON."""
     names = ("oceaninv", "jax")
@@ -189,7 +207,7 @@ def metadata(path: Path, found: oi.SceneFile, transport, seed: int, picture: Pic
             "scene": path.name,
             "title": found.title,
             "transport": type(inner).__name__,
-            "predicted_error": _STATED_ERROR[type(inner).__name__],
+            **_predicted(found, inner),
             "largest_stderr": round(picture.stderr, 6),
             "seed": seed,
             "bands_nm": [round(float(w), 3) for w in found.scene.wavelength],

@@ -42,7 +42,8 @@ class SceneFile:
 def load_scene(path: str | Path, *, bands: int | None = None) -> SceneFile:
     """Read a scene file.
 
-    **Arguments:** `path`: toml; `bands`: number of wavelength bands instead of the file's.
+    **Arguments:** `path`: toml; `bands`: number of wavelength bands instead of the file's
+    (equal ones where the file's spacing has no such number).
 
     **Raises:** `ValueError` that names the file, the key, the value and what is allowed.
     """
@@ -105,12 +106,14 @@ def _bands(table: Section, count: int | None) -> np.ndarray:
         raise table.error("to_nm", high, f"more than from_nm = {low:g}")
     spacing = table.text("spacing", ("equal", "cameras"), "equal")
     table.finish()
-    count = given if count is None else count
+    number = given if count is None else count
     if spacing == "equal":
-        return spectrum.bands(count, low, high)
+        return spectrum.bands(number, low, high)
     try:
-        return spectrum.camera_bands(count, low, high)
+        return spectrum.camera_bands(number, low, high)
     except ValueError as error:
+        if count is not None:
+            return spectrum.bands(number, low, high)
         raise ValueError(f"{table.path}: bands.spacing is 'cameras': {error}") from None
 
 

@@ -114,6 +114,7 @@ def random_waves(
     return Waves(tile, numbers, amplitude * slope / reached, phase, time)
 
 
+@eqx.filter_jit
 def caustics(
     waves: Waves,
     zenith_cosine: Float[Array, ""],
@@ -161,16 +162,21 @@ def caustics(
 
 
 def _laid_down(x, y, power, size: int) -> Float[Array, "size size"]:
-    """Parcels at fractional pixels, each shared out to the four around it."""
+    """Parcels at fractional pixels, each shared out to the nine around it by quadratic splines:
+    with less, rows of parcels and of pixels beat."""
     total = jnp.zeros((size, size), power.dtype)
-    left, top = jnp.floor(x), jnp.floor(y)
-    right, below = x - left, y - top
-    left, top = left.astype(int), top.astype(int)
-    for dy, share_y in ((0, 1 - below), (1, below)):
-        for dx, share_x in ((0, 1 - right), (1, right)):
-            row, column = (top + dy) % size, (left + dx) % size
-            total = total.at[row, column].add(power * share_y * share_x)
+    left, top = jnp.round(x), jnp.round(y)
+    columns, rows = _spline(x - left), _spline(y - top)
+    left, top = left.astype(int) - 1, top.astype(int) - 1
+    for dy, share_y in enumerate(rows):
+        for dx, share_x in enumerate(columns):
+            total = total.at[(top + dy) % size, (left + dx) % size].add(power * share_y * share_x)
     return total
+
+
+def _spline(d):
+    """Shares of the pixel before, the nearest and the one after."""
+    return 0.5 * (0.5 - d) ** 2, 0.75 - d**2, 0.5 * (0.5 + d) ** 2
 
 
 def looked_up(

@@ -139,6 +139,7 @@ def test_white_stays_white():
         (["-o", "x.png", "--bands", "1"], "--bands is 1"),
         (["-o", "x.png", "--width", "0"], "--width is 0"),
         (["-o", "x.png", "--animate", "3", "--rise", "9"], "--rise is 9"),
+        (["-o", "x.png", "--animate", "3", "--seconds", "1"], "no [surface.waves]"),
     ],
 )
 def test_refusals(scene, tmp_path, monkeypatch, capsys, arguments, message):
@@ -148,8 +149,136 @@ def test_refusals(scene, tmp_path, monkeypatch, capsys, arguments, message):
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("fov_deg", "fov = 5\nfov_deg", "camera.fov means nothing here. Did you mean fov_deg?"),
+        ("[0, 0, 4]", "[0, 0, -1]", "views through the surface from above are not modelled"),
+        ("[camera]", "[floor]\ndepth_m = 3\nreflectance = 0.1\n[camera]", "above the floor at 3 m"),
+        ("reflectance = 0.6", "reflectance = -0.6", "objects[0].reflectance is -0.6"),
+        ("0.6", '"none.csv"', "none.csv does not exist"),
+        (
+            "direction = [0, 1, 0]",
+            "direction = [0, 0.3, -1]\n[surface.waves]",
+            "a view up through waves into the air is not modelled",
+        ),
+    ],
+)
+def test_bad_scenes(tmp_path, capsys, old, new, message):
+    """Exit code 3, a sentence, and no picture."""
+    path = tmp_path / "bad.toml"
+    text = TEXT.replace(old, new)
+    if "[surface.waves]" in text:
+        text = text.replace("[surface.waves]\n", "") + "[surface]\n[surface.waves]\nslope = 0.1\n"
+    path.write_text(text)
+    assert cli.run(["render", str(path), "-o", str(tmp_path / "x.png")]) == 3
+    assert message in capsys.readouterr().err
+    assert not (tmp_path / "x.png").exists()
+
+
+def test_unwritable_output(scene, tmp_path, capsys):
+    """A folder of that name is in the way."""
+    (tmp_path / "x.png").mkdir()
+    assert cli.run(["render", str(scene), "-o", str(tmp_path / "x.png")]) == 3
+    assert "x.png" in capsys.readouterr().err
+    assert [p.name for p in tmp_path.iterdir()] == ["x.png"]
+
+
 def test_animation(scene, tmp_path):
     path = tmp_path / "up.png"
     arguments = ["-o", str(path), "--animate", "2", "--rise", "2"]
     assert cli.run(["render", str(scene), *arguments]) == 0
     assert sorted(p.name for p in tmp_path.iterdir()) == ["up_0001.png", "up_0002.png"]
+
+
+WAVES = """
+[surface]
+[surface.waves]
+slope = 0.1
+shortest_m = 0.5
+[floor]
+depth_m = 5
+reflectance = 0.4
+"""
+
+
+def test_moving_caustics(tmp_path):
+    """Frames of moving waves differ on the floor, not beside it."""
+    path = tmp_path / "waves.toml"
+    empty = TEXT[: TEXT.index("[[objects]]")] + WAVES + TEXT[TEXT.index("[camera]") :]
+    path.write_text(empty.replace("fov_deg = 60", "fov_deg = 60\nexposure = 0.01"))
+    arguments = ["-o", str(tmp_path / "f.tif"), "--animate", "2", "--seconds", "0.4"]
+    assert cli.run(["render", str(path), *arguments]) == 0
+    (first, spec), (second, _) = (_read(tmp_path / f"f_000{i}.tif") for i in (1, 2))
+    change = np.abs(first[..., 1] / second[..., 1] - 1)
+    assert change[:3].max() < 1e-3
+    assert change[5:].max() > 0.02
+    note = json.loads(spec.getattribute("ImageDescription"))
+    assert 0.0 < note["predicted_error"] < 0.6
+    assert note["predicted_error_covers"] == "water, floor and sky, not waves"
+
+
+@pytest.fixture
+def ranged(tmp_path, scene, drawn):
+    """The ball again, as a range map of its own picture."""
+    _, picture, _ = drawn
+    lines = TEXT.splitlines()
+    ball = lines.index("[[objects]]")
+    map_ = ["[range_map]", 'range_m = "r.npz"', "reflectance = 0.6"]
+    path = tmp_path / "ranged.toml"
+    path.write_text("\n".join(lines[:ball] + map_ + lines[ball + 5 :]))
+    np.savez(tmp_path / "r.npz", np.where(picture.range < 10, picture.range, 0.0))
+    return path
+
+
+def test_range_map(tmp_path, ranged, drawn):
+    """What a range map shows of a ball is what the ball shows: the water's light, save for the
+    ball's shadow in it, and what it reflects, as far as normals from so few pixels go."""
+    _, whole, _ = drawn
+    found = oi.load_scene(ranged)
+    picture = render.draw(found, oi.TwoStream(), veil=True)
+    met = (whole.range > 0) & (whole.range < 10)
+    np.testing.assert_allclose(picture.range[met], whole.range[met], 1e-6)
+    assert 3 < met.sum() < 40
+    np.testing.assert_allclose(picture.veil[met], whole.veil[met], rtol=0.03)
+    direct, expected = (p.radiance - p.veil for p in (picture, whole))
+    centre = met.shape[0] // 2, met.shape[1] // 2
+    np.testing.assert_allclose(direct[centre], expected[centre], rtol=0.05)
+    again = oi.photograph(found.scene, found.camera, ranges=found.ranges).value
+    linear = picture.radiance @ np.asarray(found.camera.response.weights(found.scene.wavelength)).T
+    np.testing.assert_allclose(again, linear, rtol=1e-5)
+    assert cli.run(["render", str(ranged), "-o", str(tmp_path / "r.png")]) == 0
+
+
+@pytest.mark.slow
+def test_range_map_by_exact_transports(ranged):
+    """PlaneParallel and MonteCarlo draw the same range map: within five standard errors."""
+    found = oi.load_scene(ranged)
+    exact = render.draw(found, oi.PlaneParallel(8, knots=24)).radiance
+    drawn = render.draw(found, oi.MonteCarlo(paths=512), seed=3)
+    error = np.abs(drawn.radiance - exact) / np.mean(exact)
+    assert error.max() < 5 * drawn.stderr + 0.05
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("r.npz", "none.npz", "does not exist"),
+        ("reflectance = 0.6", "reflectance = -0.1", "reflectance is -0.1"),
+        ("reflectance = 0.6", 'reflectance = 0.6\ntexture = "r.npz"\ntextur = 1', "textur means"),
+        ("r.npz", "text.npy", "holds no numpy array"),
+        ("r.npz", "text.exr", "is no picture"),
+        ("r.npz", "below.npy", "must not be negative"),
+        ("[range_map]", "[[lamps]]\nkind = 'point'\nposition_m = [0,0,1]\nintensity_w_sr_nm = 1\n"
+         "[range_map]", "without objects, lamps and waves"),
+    ],
+)  # fmt: skip
+def test_range_map_refusals(ranged, capsys, old, new, message):
+    for name in ("text.npy", "text.exr"):
+        (ranged.parent / name).write_text("no picture")
+    np.save(ranged.parent / "below.npy", -np.ones((7, 9)))
+    ranged.write_text(ranged.read_text().replace(old, new))
+    output = ranged.parent / "x.png"
+    assert cli.run(["render", str(ranged), "-o", str(output)]) == 3
+    assert message in capsys.readouterr().err
+    assert not output.exists()

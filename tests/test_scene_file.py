@@ -164,6 +164,9 @@ def test_water_from_kd(tmp_path):
         ("fov_deg = 60", "fov_deg = 60\nbits = 20", "bits is 20; .* between 1 and 16"),
         ('title = "test"', 'titel = "test"', "titel means nothing here. Did you mean title"),
         ("[bands]", "[bands", "is not a toml file"),
+        ("count = 4", 'count = 9\nspacing = "cameras"', "known for 8 on 400-650 nm; .* not for 9"),
+        ("[floor]", "[surface.waves]\nslope = 0.4\n[floor]", "surface.waves.slope is 0.4"),
+        ("[floor]", "[surface.waves]\ntile_m = 1\n[floor]", "surface.waves: wave lengths need"),
     ],
 )
 def test_refusals(tmp_path, old, new, message):

@@ -269,3 +269,30 @@ assert "colour" in sys.modules
 assert np.get_printoptions() == before
 """
     subprocess.run([sys.executable, "-c", code], check=True, cwd=Path(__file__).parents[1])
+
+
+@pytest.mark.parametrize(("count", "stop"), [(8, 650), (12, 650), (8, 700), (12, 700)])
+def test_camera_bands(count, stop):
+    """They fill their range, and integrate cameras of the project's better than equal bands do, on
+    a light under water that they were not fitted to."""
+    from oceaninv import water
+
+    nodes, equal = spectrum.camera_bands(count, 400, stop), spectrum.bands(count, 400, stop)
+    assert nodes.size == count
+    np.testing.assert_allclose(spectrum.band_edges(nodes)[[0, -1]], [400, stop], atol=0.2)
+    fine = spectrum.bands(stop - 400, 400, stop)
+
+    def light(at):
+        return np.exp(-np.outer(np.asarray(water.absorption(at)), [2.0, 4.0, 6.0, 8.0]))
+
+    errors = []
+    for name in ("Nikon D850", "Canon EOS 5D Mark II"):
+        response = spectrum.camera_response(name)
+        exact = np.asarray(response.smooth_weights(fine)) @ light(fine)
+        for at in (nodes, equal):
+            found = np.asarray(response.smooth_weights(at)) @ light(at)
+            errors.append(np.max(np.abs(found - exact) / exact.max(axis=0)))
+    ours, even = np.reshape(errors, (2, 2)).mean(axis=0)
+    assert ours < 0.92 * even
+    with pytest.raises(ValueError, match="take equal bands"):
+        spectrum.camera_bands(9)

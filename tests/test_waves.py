@@ -50,7 +50,7 @@ def test_one_wave_against_its_rays():
     inner = (at > period) & (at < 3 * period / 2)
     expected = np.interp(at[inner], arrives[order], dense[order])
     assert expected.max() / expected.min() > 1.5
-    np.testing.assert_allclose(pattern[0, inner], expected, rtol=6e-3)
+    np.testing.assert_allclose(pattern[0, inner], expected, rtol=4e-3)
 
 
 def test_waves_travel():

@@ -1,7 +1,7 @@
 """`oceaninv render`."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -27,9 +27,15 @@ def render_command(
     spectral: Annotated[bool, typer.Option("--spectral", help="EXR of every band.")] = False,
     linear: Annotated[bool, typer.Option("--linear", help="PNG of 16 bits, linear.")] = False,
     animate: Annotated[
-        int | None, typer.Option(help="Draw this many frames while the camera moves by --rise.")
+        int | None, typer.Option(help="Draw this many frames of --rise or --seconds.")
     ] = None,
-    rise: Annotated[float, typer.Option(help="Metres that --animate lifts the camera.")] = 1.0,
+    rise: Annotated[
+        float | None,
+        typer.Option(help="Metres that --animate lifts the camera (1; with --seconds 0)."),
+    ] = None,
+    seconds: Annotated[
+        float, typer.Option(help="For which --animate lets the waves of the surface travel.")
+    ] = 0.0,
 ) -> None:
     """Draw a scene."""
     import dataclasses
@@ -44,6 +50,8 @@ def render_command(
         raise ValueError(f"--output is {output}; it must end in .exr, .tif or .png.")
     if not output.parent.is_dir():
         raise ValueError(f"cannot write {output}: the folder {output.parent} does not exist.")
+    if output.is_dir():
+        raise ValueError(f"cannot write {output}: a folder has that name.")
     if bands is not None and bands < 2:
         raise ValueError(f"--bands is {bands}; at least 2 are needed.")
     if steps < 1 or paths < 1:
@@ -54,7 +62,10 @@ def render_command(
     if width is not None:
         found = dataclasses.replace(found, camera=_resized(found.camera, width))
     model = _transport(transport, found, steps, paths)
-    frames = [(output, found)] if animate is None else _frames(found, output, animate, rise)
+    rise = (0.0 if seconds else 1.0) if rise is None else rise
+    frames = [(output, found)]
+    if animate is not None:
+        frames = _frames(found, output, animate, rise, seconds)
     with Progress(console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task(found.title, total=len(frames))
         for i, (target, frame) in enumerate(frames):
@@ -87,7 +98,8 @@ def _transport(name: str, found, steps: int, paths: int):
         "plane-parallel": lambda: oi.PlaneParallel(knots=48),
     }[name]()
     scene = found.scene
-    return oi.Shadows(base, steps) if scene.objects or scene.lamps else base
+    waves = scene.surface is not None and scene.surface.waves is not None
+    return oi.Shadows(base, steps) if scene.objects or scene.lamps or waves else base
 
 
 def _resized(camera, width: int):
@@ -99,9 +111,15 @@ def _resized(camera, width: int):
     return dataclasses.replace(camera, width=width, height=height)
 
 
-def _frames(found, output: Path, count: int, rise: float):
-    """Names and scenes of an animation: the camera moves straight up by `rise` metres."""
+def _frames(found, output: Path, count: int, rise: float, seconds: float):
+    """Names and scenes of an animation: the camera moves straight up by `rise` metres while waves
+    travel for some seconds."""
     import dataclasses
+
+    surface: Any = found.scene.surface
+    waves: Any = None if surface is None else surface.waves
+    if seconds and waves is None:
+        raise ValueError(f"--seconds is {seconds:g}, but the scene has no [surface.waves].")
 
     start = found.camera.position
     depth = float(start[2])
@@ -115,5 +133,12 @@ def _frames(found, output: Path, count: int, rise: float):
         up = rise * i / (count - 1)
         camera = dataclasses.replace(found.camera, position=start.at[2].add(-up))
         name = output.with_name(f"{output.stem}_{i + 1:04d}{output.suffix}")
-        frames.append((name, dataclasses.replace(found, camera=camera)))
+        frame = dataclasses.replace(found, camera=camera)
+        if surface is not None and waves is not None:
+            moved = dataclasses.replace(waves, time=waves.time + seconds * i / (count - 1))
+            scene = dataclasses.replace(
+                found.scene, surface=dataclasses.replace(surface, waves=moved)
+            )
+            frame = dataclasses.replace(frame, scene=scene)
+        frames.append((name, frame))
     return frames

@@ -231,6 +231,7 @@ def _radiance(
     if scene.surface is not None:
         mirrored = jnp.concatenate([direction[:, :2], steep[:, None]], axis=1)
         sights.append((jnp.zeros_like(z), mirrored))
+    end, ended = z, jnp.ones_like(z, dtype=bool)
     if rays.length is not None:
         end = z + rays.length * direction[:, 2]
         ended = end >= 0
