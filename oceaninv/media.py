@@ -119,12 +119,20 @@ class Medium(eqx.Module):
         for inclusion, population in zip(self.inclusions, populations, strict=True):
             b = population.bulk(wavelength, host).b
             rows.append(jnp.asarray(mixing.T, b.dtype) * b[None, :])
-            tables = _phases(inclusion.population(anchors, self.radii), anchors, self.host)
+            tables = _phases(_some(inclusion).population(anchors, self.radii), anchors, self.host)
             phases.extend(tables if fit is None else map(fit, tables))
             names.extend(f"{inclusion.substance} {anchor:g} nm" for anchor in anchors)
         return IOPs(
             wavelength, total.a[None, :], jnp.concatenate(rows), phases, (self.host,), names
         )
+
+
+def _some(inclusion: Inclusion) -> Inclusion:
+    """The inclusion, or a trace of it where there is none: its phase function is the same."""
+    fraction = inclusion.volume_fraction
+    if is_traced(fraction) or float(np.asarray(fraction)) > 0:
+        return inclusion
+    return Inclusion(inclusion.substance, inclusion.sizes, 1e-6)
 
 
 def _anchors(wavelength: np.ndarray, shapes: int) -> tuple[np.ndarray, np.ndarray]:

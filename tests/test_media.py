@@ -255,3 +255,12 @@ def test_gradients_reach_the_contents():
 def test_bad_input_is_refused(make, message):
     with pytest.raises(ValueError, match=message):
         make()
+
+
+def test_an_absent_inclusion_scatters_nothing():
+    """Milk without fat keeps the shape of fat's phase function and the scattering of protein."""
+    grid = np.array([500.0])
+    skimmed, fat = (media.milk(f, 3.0, radii=20).iops(grid, shapes=1) for f in (0.0, 1.0))
+    np.testing.assert_array_equal(skimmed.b_components[0], 0.0)
+    np.testing.assert_allclose(skimmed.b_components[1], fat.b_components[1], rtol=1e-12)
+    assert np.isfinite(skimmed.phases[0](jnp.asarray([0.3]))).all()

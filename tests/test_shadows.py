@@ -191,6 +191,19 @@ def test_pictures_do_not_depend_on_their_pieces(monkeypatch):
     assert whole.value.shape == (5, 9, 1)
 
 
+@pytest.mark.slow
+def test_images_by_one_program_or_three(monkeypatch):
+    """Transports that are slow to compile see all lines of sight at once: nothing else changes."""
+    scene = _scene(0.1, 0.2, surface=oi.FlatSurface(1.34))
+    rays = _rays((-4.0, -4.0, 2.0), (-0.3, -0.4, 3.6), (0.0, 0.0, -4.0), (1.0, 2.0, 0.0))
+    apart = oi.radiance(scene, rays).value
+    monkeypatch.setattr(oi.TwoStream, "in_pieces", False)
+    jax.clear_caches()
+    np.testing.assert_allclose(oi.radiance(scene, rays).value, apart, rtol=1e-12)
+    bare = dataclasses.replace(scene, objects=())
+    assert float(jnp.max(jnp.abs(oi.radiance(bare, rays).value / apart - 1)[1])) > 1e-3
+
+
 def test_refusals():
     layers = oi.Layers([2.0], (_scene().water, _scene().water))
     scene = oi.Scene(layers, oi.Light(0.0, F), None, FLOOR, (BALL,))

@@ -44,6 +44,11 @@ def grids(count: int):
         yield "smooth, camera_bands", oi.spectrum.camera_bands(count, 400, 650)
 
 
+@jax.jit
+def _look(scene, rays):
+    return oi.radiance(scene, rays).value
+
+
 def radiances(wavelength) -> list[np.ndarray]:
     """(ray, wl) in each water."""
     rng = np.random.default_rng(7)
@@ -62,7 +67,7 @@ def radiances(wavelength) -> list[np.ndarray]:
         floor = oi.Floor(depth, reflectance)
         scene = dataclasses.replace(base, water=water, light=light, floor=floor, objects=())
         rays = oi.Rays([0.0, 0.0, depth - 1.5], jnp.asarray(direction))
-        results.append(np.asarray(jax.jit(lambda s, r: oi.radiance(s, r).value)(scene, rays)))
+        results.append(np.asarray(_look(scene, rays)))
     return results
 
 
@@ -110,17 +115,18 @@ def run() -> str:
         "|---|---|---|---|---|---|",
     ]
     light = oi.spectrum.daylight_table()
+    known = [(r, display_matrix(r), np.asarray(r.smooth_weights(grid, light)).T) for r in cameras]
+    drawn = {n: radiances(oi.spectrum.bands(n, 400, 650)) for n in COUNTS}
     for count, kind, few_grid in [(n, *pair) for n in COUNTS for pair in grids(n)]:
-        coarse = radiances(few_grid)
+        coarse = radiances(few_grid) if "camera_bands" in kind else drawn[count]
         differences, rms = [], []
-        for response in cameras:
-            matrix = display_matrix(response)
+        for response, matrix, exact in known:
             found = (
                 response.weights(few_grid)
                 if kind == "linear"
                 else response.smooth_weights(few_grid, light)
             )
-            weights = [np.asarray(w).T for w in (found, response.smooth_weights(grid, light))]
+            weights = [np.asarray(found).T, exact]
             white = matrix @ (weights[1].T @ daylight) / np.pi
             for few, many in zip(coarse, fine, strict=True):
                 pair = [few @ weights[0], many @ weights[1]]
