@@ -1,4 +1,4 @@
-"""Error against time: every rung of the ladder on one scene."""
+"""Error against time: every model of a scene."""
 
 import csv
 import dataclasses
@@ -11,13 +11,11 @@ import jax.numpy as jnp
 import numpy as np
 
 import oceaninv as oi
+from fitting._ladder import Model, ladder, references
 from fitting.report import whole
 from oceaninv.iops import IOPs
-from oceaninv.transport.base import AbstractTransport
 
 RAYS, DEPTHS = 48, 10
-REFERENCE, SECOND = oi.PlaneParallel(28), oi.PlaneParallel(22)
-STREAMS = (4, 8, 12, 16)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -31,62 +29,61 @@ class Row:
     best: bool = False
 
 
-def measure(
-    scene: oi.Scene, camera: oi.Camera, quantity: str = "photograph", repeats: int = 7
-) -> tuple[list[Row], float]:
-    """Rows of the ladder, cheapest first, and the error of the reference itself.
+@dataclasses.dataclass(frozen=True)
+class Trade:
+    """Rows of one scene, fastest first, and the error of the reference itself."""
 
-    Water, light, surface and floor only: things, lamps and inelastic light are left out.  The
-    reference is PlaneParallel with 28 streams and its error the difference to 22.  `best`: no other
-    model is both faster and better.
+    title: str
+    quantity: str
+    reference: str
+    doubt: float
+    rows: tuple[Row, ...]
+
+
+def measure(
+    scene: oi.Scene, camera: oi.Camera, quantity: str = "photograph", repeats: int = 7, title=""
+) -> Trade:
+    """Every model of the ladder on one scene.
+
+    Water, light, surface, floor and inelastic light: things and lamps are left out.  The reference
+    is PlaneParallel with 28 streams and its error the difference to 22.  `best`: no other model is
+    both faster and better.
     """
     if quantity not in ("irradiance", "radiance", "photograph"):
         raise ValueError(f"quantity is {quantity!r}; choose from irradiance, radiance, photograph.")
-    scene = oi.Scene(scene.water, scene.light, scene.surface, scene.floor)
+    scene = dataclasses.replace(scene, objects=(), lamps=())
     judge = _Judge(scene, camera, quantity)
-    truth, *_ = judge.run(REFERENCE, 1)
-    doubt = judge.error(judge.run(SECOND, 1)[0], truth)
+    first, second = references(scene, quantity)
+    truth, *_ = judge.run(first, 0)
+    doubt = judge.error(judge.run(second, 0)[0], truth)
     rows = []
-    for transport in _ladder(quantity):
-        for precision in ("float64", "float32"):
-            try:
-                value, seconds, compiled = judge.run(transport, repeats, precision)
-            except ValueError:  # a closed form that does not solve this scene
-                break
-            error = judge.error(np.asarray(value, float), truth)
-            rows.append(Row(f"{_name(transport)}, {precision}", seconds, compiled, error))
-    rows.sort(key=lambda row: row.seconds)
+    for model in ladder(scene, quantity):
+        try:
+            value, seconds, compiled = judge.run(model, repeats)
+        except ValueError:  # a model that does not solve this scene
+            continue
+        error = judge.error(np.asarray(value, float), truth, model.pick)
+        rows.append(Row(model.name, seconds, compiled, error))
+    return Trade(title, quantity, first.name, doubt, _front(rows))
+
+
+def _front(rows: list[Row]) -> tuple[Row, ...]:
+    """Fastest first, those marked that nothing beats in both."""
     front, least = [], np.inf
-    for row in rows:
+    for row in sorted(rows, key=lambda row: (row.seconds, row.error)):
         front.append(dataclasses.replace(row, best=row.error < least))
         least = min(least, row.error)
-    return front, doubt
-
-
-def _ladder(quantity: str) -> list[AbstractTransport]:
-    plane = [
-        oi.PlaneParallel(n, orders)
-        for n in STREAMS
-        for orders in ((1,) if quantity == "irradiance" else (n // 2, n))
-    ]
-    return [oi.KdTransport(), oi.TwoStream(), oi.FourStream(), *plane]
-
-
-def _name(transport: AbstractTransport) -> str:
-    if isinstance(transport, oi.PlaneParallel):
-        return f"PlaneParallel({transport.streams}, {transport.orders})"
-    return type(transport).__name__
+    return tuple(front)
 
 
 class _Judge:
-    """Runs a transport on the scene's sample of rays or depths."""
+    """Runs a model on the scene's sample of rays or depths."""
 
     def __init__(self, scene: oi.Scene, camera: oi.Camera, quantity: str):
-        self.scene, self.quantity = scene, quantity
+        self.scene, self.quantity, self.response = scene, quantity, camera.response
         rays = camera.rays()
         pick = np.unique(np.linspace(0, len(rays.origin) - 1, RAYS).round().astype(int))
         self.origin, self.direction = rays.origin[pick], rays.direction[pick]
-        self.weights = np.asarray(camera.response.weights(scene.wavelength))
         water = scene.water if isinstance(scene.water, IOPs) else scene.water.iops[0]
         kd = oi.attenuation.kd_lee2005(water.a, water.bb, scene.light.zenith)
         deepest = float(jnp.max(4.6 / kd))
@@ -94,47 +91,38 @@ class _Judge:
             deepest = min(deepest, float(scene.floor.depth))
         self.depths = jnp.linspace(0.1, 1.0, DEPTHS) * deepest
 
-    def run(self, transport: AbstractTransport, repeats: int, precision: str = "float64"):
+    def run(self, model: Model, repeats: int):
         """Value, median seconds and seconds of compilation."""
 
         def cast(leaf):
-            return leaf.astype(precision) if jnp.issubdtype(leaf.dtype, jnp.inexact) else leaf
+            floating = jnp.issubdtype(leaf.dtype, jnp.inexact)
+            return leaf.astype(model.precision) if floating else leaf
 
         scene, *points = jax.tree.map(cast, (self.scene, self.origin, self.direction, self.depths))
         # Phase functions stay constants, as they are in a fit; all else is an argument.
-        waters = (
-            (lambda s: s.water.phases)
-            if isinstance(scene.water, IOPs)
-            else (lambda s: [w.phases for w in s.water.iops])
-        )
-        spec = eqx.tree_at(
-            waters,
-            jax.tree.map(lambda _: True, scene),
-            replace_fn=lambda phases: jax.tree.map(lambda _: False, phases),
-        )
-        varied, fixed = eqx.partition(scene, spec)
+        varied, fixed = eqx.partition(scene, _all_but_phases(scene))
 
         def answer(varied, origin, direction, depths):
-            this = eqx.combine(varied, fixed)
-            if self.quantity == "irradiance":
-                return oi.irradiance(this, depths, transport).Ed.value
-            return oi.radiance(this, oi.Rays(origin, direction), transport).value
+            return model.answer(eqx.combine(varied, fixed), origin, direction, depths)
 
-        start = time.perf_counter()
-        program = jax.jit(answer).lower(varied, *points).compile()
-        compiled = time.perf_counter() - start
+        program, compiled = _compiled(jax.jit(answer).lower(varied, *points))
         value = program(varied, *points)
         seconds = []
         for _ in range(repeats):
             start = time.perf_counter()
             value = jax.block_until_ready(program(varied, *points))
             seconds.append(time.perf_counter() - start)
-        return np.asarray(value), float(np.median(seconds)), compiled
+        return np.asarray(value), float(np.median(seconds or [np.nan])), compiled
 
-    def error(self, value: np.ndarray, truth: np.ndarray) -> float:
+    def error(self, value: np.ndarray, truth: np.ndarray, pick=None) -> float:
+        """As `oceaninv.plan` defines it; `pick`: the bands that were computed."""
         if self.quantity == "photograph":
-            seen, true = value @ self.weights.T, truth @ self.weights.T
+            bands = self.scene.wavelength
+            weights = np.asarray(self.response.weights(bands))
+            thin = weights if pick is None else self.response.weights(bands[list(pick)])
+            seen, true = value @ np.asarray(thin).T, truth @ weights.T
             return float(np.max(np.sqrt(np.mean((seen - true) ** 2, axis=0)) / true.mean(axis=0)))
+        truth = truth if pick is None else truth[:, list(pick)]
         lit = truth > 0.01 * truth.max(axis=0)
         relative = np.abs(value[lit] / truth[lit] - 1.0)
         if self.quantity == "irradiance":
@@ -142,18 +130,66 @@ class _Judge:
         return float(np.quantile(relative, 0.95))
 
 
-def save_rows(path: Path, rows: list[Row], doubt: float, quantity: str) -> None:
+def _all_but_phases(scene: oi.Scene):
+    def phases(scene):
+        waters = (scene.water,) if isinstance(scene.water, IOPs) else scene.water.iops
+        return [water.phases for water in waters]
+
+    return eqx.tree_at(
+        phases,
+        jax.tree.map(lambda _: True, scene),
+        replace_fn=lambda found: jax.tree.map(lambda _: False, found),
+    )
+
+
+_PROGRAMS: dict[str, tuple] = {}
+
+
+def _compiled(lowered) -> tuple:
+    """The program and its seconds of compilation; scenes that are alike share one."""
+    text = lowered.as_text()
+    if text not in _PROGRAMS:
+        start = time.perf_counter()
+        program = lowered.compile()
+        _PROGRAMS[text] = (program, time.perf_counter() - start)
+    return _PROGRAMS[text]
+
+
+def how_to_choose(trades: list[Trade], tolerances=(0.3, 0.1, 0.03, 0.01)) -> str:
+    """A table: the fastest model within each tolerance, scene by scene."""
+    head = " | ".join(f"{100 * t:g} %" for t in tolerances)
+    lines = [
+        f"| scene | quantity | {head} | reference's own error |",
+        "|---|---|" + "---|" * (len(tolerances) + 1),
+    ]
+    for trade in trades:
+        cells = []
+        for tolerance in tolerances:
+            good = [row for row in trade.rows if row.error <= tolerance]
+            fast = min(good, key=lambda row: row.seconds, default=None)
+            cells.append("none" if fast is None else f"{fast.model}, {1e3 * fast.seconds:.2g} ms")
+        lines.append(
+            f"| {trade.title} | {trade.quantity} | {' | '.join(cells)} | "
+            f"{100 * trade.doubt:.2g} % |"
+        )
+    return "\n".join(lines) + "\n"
+
+
+def save_rows(path: Path, trade: Trade) -> None:
     """The rows as csv."""
     with whole(path) as temporary, temporary.open("w", newline="") as file:
-        file.write(f"# {quantity}; error of the reference {REFERENCE!r} itself: {doubt:.2g}\n")
+        file.write(
+            f"# {trade.title}: {trade.quantity}; error of the reference {trade.reference} itself: "
+            f"{trade.doubt:.2g}\n"
+        )
         writer = csv.writer(file)
         writer.writerow(("model", "seconds", "compile_seconds", "error", "best"))
-        for row in rows:
+        for row in trade.rows:
             numbers = (f"{v:.3g}" for v in (row.seconds, row.compile_seconds, row.error))
             writer.writerow((row.model, *numbers, int(row.best)))
 
 
-def draw_rows(path: Path, rows: list[Row], doubt: float, title: str) -> None:
+def draw_rows(path: Path, trade: Trade) -> None:
     """Error against time, log-log; models that another beats in both are grey."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -161,6 +197,7 @@ def draw_rows(path: Path, rows: list[Row], doubt: float, title: str) -> None:
     figure = Figure(figsize=(8.0, 5.0), layout="constrained")
     FigureCanvasAgg(figure)
     axes = figure.subplots()
+    rows = trade.rows
     best = [row for row in rows if row.best]
     axes.plot([r.seconds for r in best], [r.error for r in best], "-", lw=1.0, color="tab:blue")
     for row in rows:
@@ -174,8 +211,9 @@ def draw_rows(path: Path, rows: list[Row], doubt: float, title: str) -> None:
             fontsize=7,
             color="0.2" if row.best else "0.6",
         )
-    axes.axhspan(0.0, max(doubt, 1e-12), color="0.9", zorder=0)
+    axes.axhspan(0.0, max(trade.doubt, 1e-12), color="0.9", zorder=0)
     axes.set(xscale="log", yscale="log", xlabel="seconds per run", ylabel="error")
+    title = f"{trade.title}: {trade.quantity}"
     axes.set_title(f"{title} (grey band: the reference's own error)", fontsize=10)
     with whole(path) as temporary:
         figure.savefig(temporary, dpi=130)

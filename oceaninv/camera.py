@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Key
 
+from oceaninv._numerics import safe_sqrt
 from oceaninv.iops import check_concrete
 from oceaninv.optics import Rays
 from oceaninv.spectrum import Response
@@ -132,9 +133,9 @@ class Sensor(eqx.Module):
             variance = jnp.maximum(values, 0.0) / well
             if self.read_noise is not None:
                 variance = variance + (self.read_noise.astype(values.dtype) / well) ** 2
-            values = values + jnp.sqrt(variance) * jax.random.normal(
-                key, values.shape, values.dtype
-            )
+            # Black without read noise is black: the root's slope there is infinite.
+            noise = jax.random.normal(key, values.shape, values.dtype)
+            values = values + safe_sqrt(variance) * noise
         values = jnp.clip(values, 0.0, 1.0)
         if self.bits is None:
             return values

@@ -28,7 +28,7 @@ from jaxtyping import Array, ArrayLike, Complex, Float, Num
 from oceaninv import _mie_input, _mie_sums
 from oceaninv._mie_angles import AngleSums, angle_sums
 from oceaninv._mie_input import AbsorbingHostWarning
-from oceaninv._numerics import exp_moment
+from oceaninv._numerics import exp_moment, safe_ratio
 
 __all__ = [
     "AbsorbingHostWarning",
@@ -86,8 +86,7 @@ def _sums(spheres: _Spheres, rows: int) -> _mie_sums.Sums:
 
 def _asymmetry(sums: _mie_sums.Sums) -> Array:
     """Eq 26; 0 where nothing is scattered."""
-    nothing = sums.power == 0.0
-    return 2.0 * sums.cosine / jnp.where(nothing, 1.0, sums.power)
+    return safe_ratio(2.0 * sums.cosine, sums.power)
 
 
 def efficiencies(

@@ -111,8 +111,6 @@ _FLOOR = (*_DEEP, LENGTH[2:], SHARE, SHARE, SHARE)
 
 
 def _transports():
-    # PlaneParallel is not among them yet: batches of such extremes have ended the process in
-    # one of XLA's threads, for a reason not yet isolated.
     for transport, name, slow, share, agree in (
         (oi.TwoStream(), "two-stream", False, 0.0, 2e-3),
         (oi.FourStream(), "four-stream", True, 1e-5, 2e-2),

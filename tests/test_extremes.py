@@ -7,9 +7,10 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 import oceaninv as oi
-from tests import _extremes
+from tests import _extremes, _extremes_more
 
-QUICK = [case for case in _extremes.table() if not case.slow]
+CASES = (*_extremes.table(), *_extremes_more.more(), *_extremes_more.exact())
+QUICK = [case for case in CASES if not case.slow]
 POINTS = 256
 
 
@@ -20,9 +21,7 @@ def test_corners(case):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    "case", [c for c in _extremes.table() if c.slow], ids=lambda case: case.name
-)
+@pytest.mark.parametrize("case", [c for c in CASES if c.slow], ids=lambda case: case.name)
 def test_corners_of_whole_transports(case):
     assert not _extremes.failures(case, case.points(POINTS, 1))
 
@@ -70,6 +69,11 @@ def test_slopes_are_those_of_finite_differences():
         assert np.max(np.abs(slope[:, :, i] - quotient) / (1 + np.abs(quotient))) < 2e-8
 
 
+def camera(direction=(1.0, 0.0, 0.0), fov=60.0, width=4, port_index=None):
+    up, response = (0.0, 0.0, -1.0), oi.spectrum.generic_camera()
+    return oi.Camera((0.0, 0.0, 1.0), direction, up, fov, width, 3, response, port_index)
+
+
 BAD = {
     "negative absorption": lambda: oi.IOPs(
         [500.0], jnp.array([-0.1]), jnp.ones(1), oi.phase.Isotropic()
@@ -98,6 +102,34 @@ BAD = {
     "no azimuth order": lambda: oi.PlaneParallel(4, 0),
     "negative Kd": lambda: oi.KdTransport(jnp.array([-1.0])),
     "negative chlorophyll": lambda: oi.Constituents(-1.0),
+    "negative size": lambda: oi.mie.efficiencies(-1.0, 1.5),
+    "index that amplifies": lambda: oi.mie.efficiencies(1.0, 1.5 - 0.1j),
+    "no wavelength": lambda: oi.mie.cross_sections(1.0, 0.0, 1.5, 1.34),
+    "cosine beyond 1": lambda: oi.mie.phase_function(1.1, 1.0, 550.0, 1.5, 1.34),
+    "cream": lambda: oi.media.milk(11.0, 3.0),
+    "more algae than water": lambda: oi.media.natural_water(algae=1.5).bulk(np.array([550.0])),
+    "camera without a view": lambda: camera(fov=0.0),
+    "camera that looks up": lambda: camera(direction=(0.0, 0.0, -1.0)),
+    "camera without pixels": lambda: camera(width=0),
+    "air in the port": lambda: camera(port_index=0.9),
+    "noise of no electrons": lambda: oi.Sensor(read_noise=2.0),
+    "no exposure": lambda: oi.Sensor(exposure=0.0),
+    "half a bit": lambda: oi.Sensor(bits=0),
+    "sphere without size": lambda: oi.Sphere(jnp.zeros(3), 0.0, jnp.ones(1)),
+    "box inside out": lambda: oi.Box(jnp.ones(3), jnp.zeros(3), jnp.ones(1)),
+    "relief of a point": lambda: oi.HeightField(jnp.ones((1, 1)), 0.0, 0.0, 1.0, jnp.ones(1)),
+    "lamp of no angle": lambda: oi.SpotLamp(jnp.zeros(3), jnp.ones(3), 0.0, jnp.ones(1)),
+    "lamp that takes light": lambda: oi.PointLamp(jnp.zeros(3), -jnp.ones(1)),
+    "sky without a horizon": lambda: oi.TabulatedSky(np.array([0.0, 60.0]), jnp.ones(2)),
+    "negative Raman": lambda: oi.Raman(-1.0),
+    "more photons out than in": lambda: oi.ChlorophyllFluorescence(1.5),
+    "no walk": lambda: oi.MonteCarlo(paths=0),
+    "walks without steps": lambda: oi.MonteCarlo(bounces=0),
+    "no generation": lambda: oi.PlaneParallel(4, 2, 0),
+    "layers upside down": lambda: oi.Layers(
+        jnp.array([3.0, 2.0]),
+        (oi.IOPs([500.0], jnp.ones(1), jnp.ones(1), oi.phase.Isotropic()),) * 3,
+    ),
 }
 
 

@@ -5,6 +5,7 @@ That the predicted errors hold on random scenes is measured by tests/acceptance/
 
 import functools
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -35,8 +36,7 @@ def _ed(scene, depth=5.0):
 
 
 def _rank(quantity, transport):
-    ladder = choice.FLUX_LADDER if quantity == "irradiance" else choice.RADIANCE_LADDER
-    return [choice.rung(t) for t in ladder].index(choice.rung(transport))
+    return [choice.rung(t) for t in choice.LADDERS[quantity]].index(choice.rung(transport))
 
 
 @pytest.mark.parametrize("quantity", choice.QUANTITIES)
@@ -61,8 +61,7 @@ def test_promises_are_kept_or_refused_in_words():
 
 def test_every_rung_has_its_numbers():
     for quantity in choice.QUANTITIES:
-        ladder = choice.FLUX_LADDER if quantity == "irradiance" else choice.RADIANCE_LADDER
-        for transport in ladder:
+        for transport in choice.LADDERS[quantity]:
             assert np.isfinite(
                 _errors.models()[quantity, choice.rung(transport)].coefficients
             ).all()
@@ -143,6 +142,52 @@ def test_dropped_terms_are_absent_from_the_program():
     lean, full = _operations(planned), _operations(_scene(floor=300.0, sky=0.0))
     assert abs(lean / _operations(_scene()) - 1) < 0.02
     assert lean < 0.8 * full
+
+
+def _asked(scene, transport):
+    """Operations of a radiance, floating numbers of the scene traced, before any compiler."""
+
+    def program(numbers):
+        here = eqx.combine(numbers, rest)
+        rays = oi.Rays(jnp.array([[0.0, 0.0, 1.0]]), jnp.array([[0.6, 0.0, 0.8]]))
+        return oi.radiance(here, rays, transport, key=jax.random.key(0)).value
+
+    spec = jax.tree.map(lambda _: False, scene)
+    spec = eqx.tree_at(lambda s: (s.water.a_components, s.light.direct), spec, (True, True))
+    numbers, rest = eqx.partition(scene, spec)
+    return jax.jit(program).lower(numbers).cost_analysis()["flops"]
+
+
+@pytest.mark.parametrize(
+    "transport",
+    [
+        oi.TwoStream(),
+        pytest.param(oi.FourStream(), marks=pytest.mark.slow),
+        pytest.param(oi.PlaneParallel(4, 2), marks=pytest.mark.slow),
+        pytest.param(oi.MonteCarlo(32, 4), marks=pytest.mark.slow),
+    ],
+    ids=choice.rung,
+)
+def test_a_term_that_is_not_there_costs_nothing(transport):
+    """What the plan leaves is the program of a scene that was written without these terms, of
+    every transport; each term that is there costs something."""
+    one = jnp.ones(len(WAVELENGTH))
+    far, dark = oi.Floor(300.0, 0.3 * one), 0.0 * one
+    glow = oi.Inelastic(raman=oi.Raman(1e-12)) if transport.inelastic else None
+    full = oi.Scene(_water(), oi.Light(40.0, one, dark), oi.FlatSurface(), far, inelastic=glow)
+    planned = oi.plan(full, 0.05, "radiance", depth=2.0).scene
+    assert planned.floor is None
+    assert planned.inelastic is None
+    written = oi.Scene(_water(), oi.Light(40.0, one), oi.FlatSurface())
+    least = _asked(written, transport)
+    assert abs(_asked(planned, transport) / least - 1) < 0.02
+    bare = oi.Scene(_water(), oi.Light(40.0, one))
+    assert _asked(bare, transport) < least
+    floor = oi.Scene(_water(), written.light, written.surface, far)
+    assert _asked(floor, transport) > least
+    if glow is not None:
+        emitting = oi.Scene(_water(), written.light, written.surface, inelastic=glow)
+        assert _asked(emitting, transport) > least
 
 
 @pytest.mark.parametrize(

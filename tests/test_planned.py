@@ -49,7 +49,7 @@ def test_the_plan_follows_the_water_that_is_found():
     assert plan["kept"]
     assert plan["predicted_error"] <= 0.03
     chosen, error = sufficient(_scene(fit), 0.03)
-    ladder = [choice.rung(t) for t in choice.FLUX_LADDER]
+    ladder = [choice.rung(t) for t in choice.LADDERS["irradiance"]]
     assert ladder.index(plan["transport"]) >= ladder.index(choice.rung(chosen))
     assert error <= 0.03
 
@@ -85,7 +85,7 @@ def test_the_planned_fit_is_that_of_its_transport():
     assert planned.metadata["plan"]["kept"]
     name = planned.metadata["plan"]["transport"]
     assert name != "TwoStream()"
-    (transport,) = (t for t in choice.FLUX_LADDER if choice.rung(t) == name)
+    (transport,) = (t for t in choice.LADDERS["irradiance"] if choice.rung(t) == name)
     straight = fit_profile(profile, transport=transport)
     apart = (planned.x - straight.x) / np.sqrt(np.diag(straight.covariance))
     assert np.max(np.abs(apart)) < 0.02

@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from fitting.commands.common import Output, status
+from fitting.commands.common import status
 
 SceneFile = Annotated[Path, typer.Argument(help="Scene file (toml).")]
 Quantity = Annotated[str, typer.Option(help="irradiance, radiance or photograph.")]
@@ -32,25 +32,83 @@ def plan_command(
 
 
 def trade_command(
-    path: SceneFile,
+    paths: Annotated[
+        list[Path], typer.Argument(help="Scene files (toml); with --fit one cast or chart file.")
+    ],
     quantity: Quantity = "photograph",
-    output: Output = None,
+    output: Annotated[
+        Path | None,
+        typer.Option(
+            "--output", "-o", help="Stem of the files to write; of many scenes, their folder."
+        ),
+    ] = None,
     repeats: Annotated[int, typer.Option(help="Runs, of which the median counts.", min=1)] = 7,
+    inelastic: Annotated[
+        bool, typer.Option(help="Add Raman scattering and the fluorescence of chlorophyll.")
+    ] = False,
+    fit: Annotated[
+        bool, typer.Option("--fit", help="Run the fit of a profile through every transport.")
+    ] = False,
 ) -> None:
-    """Run every model of a scene: error against time as STEM.csv and STEM.png."""
-    from rich.console import Console
-    from rich.table import Table
+    """Run every model of a scene: error against time as STEM.csv and STEM.png.
+
+    Of many scenes also a table, choose.md: the fastest model within 30, 10, 3 and 1 %.  With --fit,
+    how the constituents of a depth profile move when its model of the light is cheapened.
+    """
+    if fit:
+        if len(paths) != 1:
+            raise ValueError(f"--fit takes one file; {len(paths)} were given.")
+        _trade_of_fit(paths[0], output, repeats)
+        return
+    from fitting.report import whole
+    from fitting.trade import how_to_choose
+
+    many = len(paths) > 1
+    trades = []
+    for path in paths:
+        stem = Path(f"{path.stem}_trade") if output is None else output
+        if many:
+            stem = (output or Path("trade")) / f"{path.stem}_{quantity}"
+        trades.append(_trade_of_scene(path, stem, quantity, repeats, inelastic))
+    if many:
+        table = (output or Path("trade")) / f"choose_{quantity}.md"
+        with whole(table) as temporary:
+            temporary.write_text(how_to_choose(trades))
+        print(f"wrote {table}")
+
+
+def _trade_of_scene(path: Path, stem: Path, quantity: str, repeats: int, inelastic: bool):
+    import dataclasses
 
     import oceaninv as oi
     from fitting.trade import draw_rows, measure, save_rows
 
     file = oi.load_scene(path)
-    with status("running the ladder"):
-        rows, doubt = measure(file.scene, file.camera, quantity, repeats)
-    table = Table(title=f"{file.title}: {quantity}", title_justify="left")
+    scene, title = file.scene, file.title
+    if inelastic:
+        glow = oi.Inelastic(oi.Raman(), oi.ChlorophyllFluorescence())
+        scene, title = dataclasses.replace(scene, inelastic=glow), f"{title}, inelastic"
+    with status(f"running the ladder on {path.name}"):
+        trade = measure(scene, file.camera, quantity, repeats, title)
+    _print_trade(trade)
+    if scene.objects or scene.lamps:
+        print("left out: objects and lamps")
+    stem.parent.mkdir(parents=True, exist_ok=True)
+    data, image = stem.with_name(stem.name + ".csv"), stem.with_name(stem.name + ".png")
+    save_rows(data, trade)
+    draw_rows(image, trade)
+    print(f"wrote {data} and {image}")
+    return trade
+
+
+def _print_trade(trade) -> None:
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table(title=f"{trade.title}: {trade.quantity}", title_justify="left")
     for name in ("model", "ms", "compile s", "error %", "best"):
         table.add_column(name, justify="left" if name == "model" else "right")
-    for row in rows:
+    for row in trade.rows:
         numbers = (
             f"{1e3 * row.seconds:.3g}",
             f"{row.compile_seconds:.2g}",
@@ -58,11 +116,29 @@ def trade_command(
         )
         table.add_row(row.model, *numbers, "*" if row.best else "")
     Console().print(table)
-    print(f"the reference's own error: {100 * doubt:.2g} %")
-    if file.scene.objects or file.scene.lamps or file.scene.inelastic is not None:
-        print("left out: objects, lamps and inelastic light")
+    print(f"the reference's own error: {100 * trade.doubt:.2g} %")
+
+
+def _trade_of_fit(path: Path, output: Path | None, repeats: int) -> None:
+    from rich.console import Console
+    from rich.table import Table
+
+    from fitting.casts import read_cast
+    from fitting.fit_trade import draw_fits, measure_fits, save_fits
+
+    profile = read_cast(path)
+    with status("fitting through every transport"):
+        rows = measure_fits(profile, repeats)
+    names = list(rows[0].value)
+    table = Table(title=f"{path.name}: fits", title_justify="left")
+    for name in ("model", "s", *names, "largest shift (sd)"):
+        table.add_column(name, justify="left" if name == "model" else "right")
+    for row in rows:
+        cells = [f"{row.value[n]:.3g} ({row.low[n]:.2g} - {row.high[n]:.2g})" for n in names]
+        table.add_row(row.model, f"{row.seconds:.2g}", *cells, f"{max(row.shift.values()):.2f}")
+    Console().print(table)
     stem = output or Path(f"{path.stem}_trade")
     data, image = stem.with_name(stem.name + ".csv"), stem.with_name(stem.name + ".png")
-    save_rows(data, rows, doubt, quantity)
-    draw_rows(image, rows, doubt, f"{file.title}: {quantity}")
+    save_fits(data, rows)
+    draw_fits(image, rows, path.name)
     print(f"wrote {data} and {image}")

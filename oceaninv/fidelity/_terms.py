@@ -2,6 +2,8 @@
 
 import dataclasses
 
+import jax
+import jax.core
 import jax.numpy as jnp
 import numpy as np
 
@@ -165,7 +167,7 @@ def reduced_bands(scene: Scene, share: float, response: Response, look: errors.L
         error = float(np.max(np.abs(thin @ seen[pick] / full - 1.0)))
         if error <= share:
             why = f"{len(pick)} of {count} change a channel by {100 * error:.2g} %"
-            return _picked(scene, pick), pick, Term(False, error, why), thin
+            return thinned(scene, pick), pick, Term(False, error, why), thin
     return scene, np.arange(count), Term(True, 1.0, f"all {count} are needed"), weights
 
 
@@ -175,9 +177,15 @@ def channel_weights(response: Response, wavelength: np.ndarray) -> np.ndarray:
     return values @ hat_overlap(response.samples, tuple(wavelength.tolist()))
 
 
-def _picked(scene: Scene, pick: np.ndarray) -> Scene:
+def thinned(scene: Scene, pick: np.ndarray) -> Scene:
+    """The scene on some of its bands; things and lamps are left out."""
+
     def thin(spectra):
-        return None if spectra is None else np.asarray(spectra)[..., pick]
+        if spectra is None:
+            return None
+        # Concrete numbers are picked by numpy, which compiles nothing.
+        traced = isinstance(spectra, jax.core.Tracer)
+        return (spectra if traced else np.asarray(spectra))[..., pick]
 
     def water(one: IOPs) -> IOPs:
         rows = (thin(one.a_components), thin(one.b_components))
@@ -193,4 +201,5 @@ def _picked(scene: Scene, pick: np.ndarray) -> Scene:
     else:
         waters = Layers(waters.interfaces, tuple(map(water, waters.iops)))
     light = Light(light.zenith, thin(light.direct), thin(light.diffuse), light.sky)
-    return _with(scene, water=waters, light=light, floor=floor)
+    inelastic = scene.inelastic
+    return Scene(waters, light, scene.surface, floor, inelastic=inelastic)

@@ -21,8 +21,16 @@ from oceaninv.transport.two_stream import TwoStream
 QUANTITIES = ("irradiance", "radiance", "photograph")
 # Cheapest first.  KdTransport costs what TwoStream costs and is right less often: it is for waters
 # of which only Kd is known.
-FLUX_LADDER = (TwoStream(), FourStream(), *(PlaneParallel(n, 1) for n in (4, 8, 16)))
-RADIANCE_LADDER = (TwoStream(), FourStream(), *(PlaneParallel(n) for n in (6, 12, 16, 20)))
+_CLOSED = (TwoStream(), FourStream())
+LADDERS: Mapping[str, tuple[AbstractTransport, ...]] = {
+    "irradiance": (*_CLOSED, *(PlaneParallel(n, 1) for n in (4, 8, 16))),
+    "radiance": (*_CLOSED, *(PlaneParallel(n) for n in (6, 8, 12, 16, 20, 28))),
+    # A camera looks about the horizon, where a few orders of azimuth do.
+    "photograph": (
+        *_CLOSED,
+        *(PlaneParallel(n, m) for n, m in ((6, 6), (12, 6), (20, 6), (20, 20))),
+    ),
+}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -177,7 +185,7 @@ def choose(
     photograph; `spent`: what dropped terms took already.
     """
     tried, best = [], None
-    for transport in FLUX_LADDER if quantity == "irradiance" else RADIANCE_LADDER:
+    for transport in LADDERS[quantity]:
         lacks = _lacks(transport, scene)
         if lacks:
             tried.append(f"{rung(transport)} does not solve {lacks}")

@@ -96,7 +96,11 @@ def locate(column: Column, z: Float[Array, ""], *more) -> tuple:
     """The layer at depth z (m), z's share of it, and the same layer of further trees."""
     index = 0 if column.top.shape[0] == 1 else jnp.sum(z > column.top[1:])
     here, *others = jax.tree.map(lambda leaf: leaf[index], (column, *more))
-    return here, (z - here.top) * here.rate, *others
+    share = (z - here.top) * here.rate
+    # Deeper than endless there is no light, and no exponential that grows instead.  The lower edge
+    # itself keeps its slope, whatever its rounding.
+    beyond = share > 1.0 + 16.0 * float(jnp.finfo(share.dtype).eps)
+    return here, jnp.where(beyond, 1.0, share), *others
 
 
 def at_depth(

@@ -19,21 +19,18 @@ import jax.numpy as jnp
 import numpy as np
 
 import oceaninv as oi
+from oceaninv.fidelity import choice
 
 WAVELENGTH = np.array([420.0, 490.0, 560.0, 630.0])
-REFERENCE = oi.PlaneParallel(streams=28)
+REFERENCE = oi.PlaneParallel(streams=40)
 DIRECTIONS, CHUNK = 16, 10
-# Everything plan() may choose for water alone, by quantity, cheapest first.
-LADDER = {
-    "irradiance": (
-        oi.TwoStream(),
-        oi.FourStream(),
-        *(oi.PlaneParallel(n, 1) for n in (4, 8, 16)),
-    ),
-    "radiance": (
-        oi.TwoStream(),
-        oi.FourStream(),
-        *(oi.PlaneParallel(n, n) for n in (6, 12, 16, 20)),
+# Everything plan() may choose for water alone; photographs are made of radiance.
+RUNS = {
+    "irradiance": choice.LADDERS["irradiance"],
+    "radiance": tuple(
+        {
+            choice.rung(t): t for t in (*choice.LADDERS["radiance"], *choice.LADDERS["photograph"])
+        }.values()
     ),
 }
 

@@ -15,7 +15,7 @@ from pathlib import Path
 import jax
 import numpy as np
 
-QUICK_POINTS, SLOW_POINTS, BATCH = 4000, 2000, 2000
+QUICK_POINTS, SLOW_POINTS, BATCH = 2000, 1000, 1000
 
 
 def main() -> int:
@@ -23,10 +23,11 @@ def main() -> int:
 
     quick_compilation()
     jax.config.update("jax_enable_x64", True)
-    from tests import _extremes
+    from tests import _extremes, _extremes_more
 
     start, total, failed, lines = time.perf_counter(), 0, 0, []
-    for case in _extremes.table():
+    cases = (*_extremes.table(), *_extremes_more.more(), *_extremes_more.exact())
+    for case in cases:
         count = SLOW_POINTS if case.slow else QUICK_POINTS
         bad = [
             sentence
@@ -42,7 +43,8 @@ def main() -> int:
         "# Extremes\n\n`python -m tests.acceptance.extremes`: "
         f"{total} points (each precision counted), {failed} failures, "
         f"{time.perf_counter() - start:.0f} s on {os.cpu_count()} cores.  Domains: "
-        "`tests/_extremes.py`.\n\n| function | arguments | points | failures |\n|---|---|---|---|\n"
+        "`tests/_extremes.py`, `tests/_extremes_more.py`.\n\n"
+        "| function | arguments | points | failures |\n|---|---|---|---|\n"
     )
     Path(__file__).with_suffix(".md").write_text(head + "\n".join(lines) + "\n")
     print(head)
