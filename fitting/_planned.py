@@ -83,7 +83,7 @@ def fit_within(
 def _dearness(found: tuple[AbstractTransport, float]) -> int:
     transport = found[0]
     if isinstance(transport, oi.PlaneParallel):
-        return transport.streams
+        return transport.streams * transport.orders
     return int(isinstance(transport, oi.FourStream))
 
 

@@ -194,7 +194,7 @@ def models() -> dict[tuple[str, str], Model]:
 
 
 def predicted(quantity: str, rung: str, views: list[View], channels) -> float:
-    """The error that about 95 % of scenes like this one stay below; the worst of its layers."""
+    """The expected error of the worst layer, with its margin."""
     model = models()[quantity, rung]
     worst = 0.0
     for (bands, at), rows in views:

@@ -41,7 +41,8 @@ class Plan:
     - `scene`: the scene to give it, without the terms and bands that do not matter.
     - `bands`: (wl,) nm that are left.
     - `terms`: by name, what each term of the scene contributes at most, and whether it is kept.
-    - `predicted_error`: that about 95 % of similar scenes stay below, dropped terms included.
+    - `predicted_error`: dropped terms included, with such a margin that the promise is kept in 95 %
+      of similar scenes or more.
     - `why`: one sentence per decision.
     """
 
