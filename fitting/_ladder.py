@@ -59,8 +59,7 @@ def ladder(scene: oi.Scene, quantity: str) -> list[Model]:
     models = [Model(_name(t), through(t, quantity)) for t in (*closed, *exact)]
     if not flux:
         models.insert(0, Model("printed closure", _printed))
-    # Single precision, where rounding might matter: the cheapest and the dearest.
-    single = (oi.TwoStream(), oi.FourStream(), exact[-1])
+    single = (oi.TwoStream(), oi.FourStream(), exact[1])
     models += [Model(f"{_name(t)}, float32", through(t, quantity), "float32") for t in single]
     walks = ((2**12, 32), (2**16, 32)) if flux else ((2**6, 4), (2**6, 32), (2**10, 32))
     models += [
@@ -79,14 +78,11 @@ def ladder(scene: oi.Scene, quantity: str) -> list[Model]:
 def _few_bands(scene: oi.Scene, quantity: str) -> list[Model]:
     count = len(scene.wavelength)
     models = []
-    for fewer in (3, 6, 12):
+    for fewer, transport in ((3, oi.TwoStream()), (6, oi.TwoStream()), (6, oi.PlaneParallel(8))):
         if fewer < count:
             pick = np.unique(np.linspace(0, count - 1, fewer).round().astype(int))
-            for transport in (oi.TwoStream(), oi.PlaneParallel(8)):
-                name = f"{_name(transport)}, {len(pick)} bands"
-                models.append(
-                    Model(name, _thin(through(transport, quantity), pick), pick=tuple(pick))
-                )
+            name = f"{_name(transport)}, {len(pick)} bands"
+            models.append(Model(name, _thin(through(transport, quantity), pick), pick=tuple(pick)))
     return models
 
 

@@ -2,6 +2,7 @@
 
 import csv
 import dataclasses
+import re
 import time
 from pathlib import Path
 
@@ -187,6 +188,26 @@ def save_rows(path: Path, trade: Trade) -> None:
         for row in trade.rows:
             numbers = (f"{v:.3g}" for v in (row.seconds, row.compile_seconds, row.error))
             writer.writerow((row.model, *numbers, int(row.best)))
+
+
+def load_rows(path: Path) -> Trade:
+    """What `save_rows` wrote."""
+    head, *lines = path.read_text().splitlines()
+    title, quantity, reference, doubt = _HEAD.fullmatch(head).groups()  # pyright: ignore
+    rows = tuple(
+        Row(
+            row["model"],
+            float(row["seconds"]),
+            float(row["compile_seconds"]),
+            float(row["error"]),
+            row["best"] == "1",
+        )
+        for row in csv.DictReader(lines)
+    )
+    return Trade(title, quantity, reference, float(doubt), rows)
+
+
+_HEAD = re.compile(r"# (.*): (\w+); error of the reference (.*) itself: (.*)")
 
 
 def draw_rows(path: Path, trade: Trade) -> None:

@@ -41,17 +41,17 @@ def test_the_plan_follows_the_water_that_is_found():
         starts.append(None if start is None else np.exp(start[0]))
         return _stand_in(0.03 if start is None else 20.0, transport)
 
-    fit = fit_within(0.03, None, solve, _scene, [DEMAND])
+    fit = fit_within(0.01, None, solve, _scene, [DEMAND])
     plan = fit.metadata["plan"]
     assert plan["tried"][0] == "TwoStream()"
     assert len(plan["tried"]) > 1
     assert starts[:2] == [None, pytest.approx(0.03)]
     assert plan["kept"]
-    assert plan["predicted_error"] <= 0.03
-    chosen, error = sufficient(_scene(fit), 0.03)
+    assert plan["predicted_error"] <= 0.01
+    chosen, error = sufficient(_scene(fit), 0.01)
     ladder = [choice.rung(t) for t in choice.LADDERS["irradiance"]]
     assert ladder.index(plan["transport"]) >= ladder.index(choice.rung(chosen))
-    assert error <= 0.03
+    assert error <= 0.01
 
 
 def test_a_tolerance_that_nothing_keeps_ends_with_the_best_rung_and_says_so():
@@ -81,7 +81,7 @@ def test_a_transport_and_a_tolerance_exclude_each_other():
 @pytest.mark.slow
 def test_the_planned_fit_is_that_of_its_transport():
     profile = constituent_cast(WAVELENGTH)[1]
-    planned = fit_profile(profile, tolerance=0.03)
+    planned = fit_profile(profile, tolerance=0.01)
     assert planned.metadata["plan"]["kept"]
     name = planned.metadata["plan"]["transport"]
     assert name != "TwoStream()"

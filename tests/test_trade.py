@@ -37,7 +37,7 @@ def file(tmp_path):
     return path
 
 
-def test_the_front_is_what_nothing_beats():
+def test_the_front_is_what_nothing_beats(tmp_path):
     rows = [trade.Row(name, s, 0.0, e) for name, s, e in (
         ("slow, worse", 3.0, 0.5), ("fast", 1.0, 0.4), ("slow, better", 2.0, 0.1)
     )]  # fmt: skip
@@ -47,6 +47,8 @@ def test_the_front_is_what_nothing_beats():
     found = trade.Trade("sea", "photograph", "exact", 0.001, front)
     table = trade.how_to_choose([found], (0.45, 0.2, 0.01))
     assert "| sea | photograph | fast, 1e+03 ms | slow, better, 2e+03 ms | none | 0.1 % |" in table
+    trade.save_rows(tmp_path / "sea.csv", found)
+    assert trade.load_rows(tmp_path / "sea.csv") == found
 
 
 def test_errors_of_photographs_are_of_channels(file):

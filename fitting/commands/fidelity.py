@@ -52,32 +52,34 @@ def trade_command(
 ) -> None:
     """Run every model of a scene: error against time as STEM.csv and STEM.png.
 
-    Of many scenes also a table, choose.md: the fastest model within 30, 10, 3 and 1 %.  With --fit,
-    how the constituents of a depth profile move when its model of the light is cheapened.
+    Of many scenes also a table, choose_QUANTITY.md: the fastest model within 30, 10, 3 and 1 %, of
+    all scenes whose rows lie in the folder.  With --fit, how the constituents of a depth profile
+    move when its model of the light is cheapened.
     """
     if fit:
         if len(paths) != 1:
             raise ValueError(f"--fit takes one file; {len(paths)} were given.")
         _trade_of_fit(paths[0], output, repeats)
         return
+    if len(paths) == 1:
+        stem = Path(f"{paths[0].stem}_trade") if output is None else output
+        _trade_of_scene(paths[0], stem, quantity, repeats, inelastic)
+        return
     from fitting.report import whole
-    from fitting.trade import how_to_choose
+    from fitting.trade import how_to_choose, load_rows
 
-    many = len(paths) > 1
-    trades = []
+    folder = output or Path("trade")
     for path in paths:
-        stem = Path(f"{path.stem}_trade") if output is None else output
-        if many:
-            stem = (output or Path("trade")) / f"{path.stem}_{quantity}"
-        trades.append(_trade_of_scene(path, stem, quantity, repeats, inelastic))
-    if many:
-        table = (output or Path("trade")) / f"choose_{quantity}.md"
-        with whole(table) as temporary:
-            temporary.write_text(how_to_choose(trades))
-        print(f"wrote {table}")
+        name = f"{path.stem}_inelastic" if inelastic else path.stem
+        _trade_of_scene(path, folder / f"{name}_{quantity}", quantity, repeats, inelastic)
+    table = folder / f"choose_{quantity}.md"
+    with whole(table) as temporary:
+        found = sorted(folder.glob(f"*_{quantity}.csv"))
+        temporary.write_text(how_to_choose([load_rows(path) for path in found]))
+    print(f"wrote {table}")
 
 
-def _trade_of_scene(path: Path, stem: Path, quantity: str, repeats: int, inelastic: bool):
+def _trade_of_scene(path: Path, stem: Path, quantity: str, repeats: int, inelastic: bool) -> None:
     import dataclasses
 
     import oceaninv as oi
@@ -98,7 +100,6 @@ def _trade_of_scene(path: Path, stem: Path, quantity: str, repeats: int, inelast
     save_rows(data, trade)
     draw_rows(image, trade)
     print(f"wrote {data} and {image}")
-    return trade
 
 
 def _print_trade(trade) -> None:
