@@ -87,7 +87,9 @@ class Sample:
         )
         self.use = lit if key == "radiance" else np.ones_like(lit)
         self.target, self.true, self.cost = {}, {}, {}
-        for name in self.names:
+        # Models are made of all that was run; plans choose from the quantity's ladder.
+        self.known = [planning.rung(r) for r in scenes.RUNS[key]]
+        for name in self.known:
             value, _, self.cost[name] = found[key, name]
             self.target[name] = np.log(by_band(value, truth, quantity) + errors.LEAST)
             self.true[name] = scenes.errors(value, truth, lit, quantity)
@@ -116,11 +118,11 @@ class Sample:
 def margins(sample: Sample) -> dict[str, float]:
     """By rung: the smallest quantile of what errors exceed their expectation by, one for all rungs,
     with which plans are kept often enough at every tolerance."""
-    expected = {name: sample.unseen(name) for name in sample.names}
-    excess = {n: np.log(sample.true[n] + errors.LEAST) - expected[n] for n in sample.names}
+    expected = {name: sample.unseen(name) for name in sample.known}
+    excess = {n: np.log(sample.true[n] + errors.LEAST) - expected[n] for n in sample.known}
     found = {}
     for share in np.linspace(0.6, 0.995, 80):
-        found = {n: float(np.quantile(excess[n], share)) for n in sample.names}
+        found = {n: float(np.quantile(excess[n], share)) for n in sample.known}
         if all(_kept(sample, expected, found, tolerance) >= KEPT for tolerance in TOLERANCES):
             break
     return found
@@ -191,7 +193,7 @@ def table(found, all_cases) -> str:
         for name in map(planning.rung, ladder):
             cells = {}
             for quantity, sample in samples.items():
-                here = key_of(quantity) == key and name in sample.names
+                here = key_of(quantity) == key
                 e = sample.true[name] if here else np.zeros(0)
                 cells[quantity] = f"{np.median(e):.2g} / {np.quantile(e, 0.95):.2g}" if here else ""
             cost = 1e3 * found[key, name][2]
