@@ -1,5 +1,6 @@
 """Fits of underwater light to water constituents: the inverse side of oceaninv."""
 
+from fitting.apparent import fit_apparent
 from fitting.bulk import fit_bulk
 from fitting.contents import AbstractContents, Milk, NaturalWater, Populations
 from fitting.observations import Bulk, Profile
@@ -8,7 +9,7 @@ from fitting.photo import design, fit_photo, fit_photos
 from fitting.photographs import Photograph, read_photograph, read_range
 from fitting.posterior import Fit, Quantity
 from fitting.profile import fit_profile
-from fitting.profiles import ProfileFits, fit_profiles
+from fitting.profiles import ProfileFits, fit_profiles, stream_profiles
 from fitting.readings import Background, Chart, Photo, Pixels
 from fitting.sampling import NUTS, joint_region, sample
 
@@ -33,6 +34,7 @@ __all__ = [
     "ProfileFits",
     "Quantity",
     "design",
+    "fit_apparent",
     "fit_bulk",
     "fit_photo",
     "fit_photos",
@@ -42,4 +44,5 @@ __all__ = [
     "read_photograph",
     "read_range",
     "sample",
+    "stream_profiles",
 ]

@@ -25,6 +25,7 @@ CUT = 4.0
 _START_ROUNDS = 5
 # With given errors only the curve has to converge, else the noise too.
 _ROUNDS_GIVEN, _ROUNDS = 5, 12
+_SETTLED = 4
 _LEAST_LN_KD, _LARGEST_LN_KD = -46.0, 8.0
 _LARGEST_LN_ED = 300.0
 # Candidates for the waves: correlation lengths in median spacings, and how the relative noise
@@ -33,8 +34,8 @@ _LENGTHS = (0.0, 0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0)
 _LONGEST = 1 / 5  # of the range: longer waves cannot be told from the water
 _RISES = ((0.0, 1.0), (2.0, 0.1), (4.0, 0.05))
 _MOST_CORRELATED = 0.98
-# Prior odds of correlated against independent, and of rising against even noise.
-_ODDS = 0.4
+# Prior odds of correlated against independent noise (no preference), and of rising against even.
+_ODDS_CORRELATED, _ODDS_RISING = 1.0, 0.4
 
 
 class Lanes(eqx.Module):
@@ -61,7 +62,7 @@ class BandFit(eqx.Module):
 
     - `noise`: relative, without the electronics.
     - `dof`: how many independent samples the noise was estimated from, less the unknowns.
-    - `length`: m over which the waves are correlated, 0 if they are not.
+    - `length`: m over which the waves are correlated, mean over the candidates, 0 if they are not.
     - `used`: samples that were not outliers.
     - `code`: index into `fitting.solve.RESULTS`.
     """
@@ -198,11 +199,15 @@ def _fit_lane(lane: Lanes):
     # Given errors may be too small; they must not make outliers of everything.
     scale = jnp.maximum(scale, 1.0) if given else jnp.ones_like(scale)
 
+    rounds = _ROUNDS_GIVEN if given else _ROUNDS
+
     def refine(carry, step):
-        state, noise = carry
+        state, noise, used = carry
         signal, jacobian, misfit = linear(state)
         sd = spread(signal, noise)
-        used = mask & (jnp.abs(misfit) < CUT * scale * sd)
+        # In the last rounds the choice stands, lest a sample at the limit come and go for ever.
+        now = mask & (jnp.abs(misfit) < CUT * scale * sd)
+        used = now if given else jnp.where(step < rounds - _SETTLED, now, used)
         weight = jnp.where(used, 1.0 / sd**2, 0.0)
         matrix, right = _weighted(jacobian, weight, misfit)
         matrix, right = matrix + jnp.diag(dark_prior), right - dark_prior * state
@@ -214,11 +219,9 @@ def _fit_lane(lane: Lanes):
             # The first rounds still move the curve: the robust scale holds meanwhile.
             noise = jnp.where(step < 3, noise, updated)
         # A band without light runs away: it stays finite here and ends as not converged.
-        return (jnp.clip(state + move, *bounds), noise), move @ matrix @ move
+        return (jnp.clip(state + move, *bounds), noise, used), move @ matrix @ move
 
-    (state, noise), moved = jax.lax.scan(
-        refine, (state, noise), jnp.arange(_ROUNDS_GIVEN if given else _ROUNDS)
-    )
+    (state, noise, _), moved = jax.lax.scan(refine, (state, noise, mask), jnp.arange(rounds))
     signal, jacobian, misfit = linear(state)
     sd = spread(signal, noise)
     used = mask & (jnp.abs(misfit) < CUT * scale * sd)
@@ -254,8 +257,8 @@ def _fit_lane(lane: Lanes):
 def _averaged(lane, state, jacobian, misfit, noise, used, spread):
     """Mean over the candidates for the waves, each by generalised least squares.
 
-    Returns the step from `state`, its covariance, relative noise, degrees of freedom, and the
-    length and the standard deviations of the likeliest candidate.
+    Returns the step from `state`, its covariance, relative noise, degrees of freedom, mean length,
+    and the standard deviations of the likeliest candidate.
     """
     index = jnp.arange(len(lane.depth))
     last = jax.lax.cummax(jnp.where(used, index, -1))
@@ -297,8 +300,8 @@ def _averaged(lane, state, jacobian, misfit, noise, used, spread):
         volume = jnp.sum(jnp.where(used, jnp.log(sd) + jnp.log(rest), 0.0))
         likelihood = -0.5 * (freedom * jnp.log(square) + volume_of) - volume
         allowed = (steps == 0) | (length <= _LONGEST * reach)
-        prior_weight = jnp.where(steps == 0, 0.0, jnp.log(_ODDS / (len(_LENGTHS) - 1.0)))
-        prior_weight += jnp.where(gain == 0, 0.0, jnp.log(_ODDS / (len(_RISES) - 1.0)))
+        prior_weight = jnp.where(steps == 0, 0.0, jnp.log(_ODDS_CORRELATED / (len(_LENGTHS) - 1.0)))
+        prior_weight += jnp.where(gain == 0, 0.0, jnp.log(_ODDS_RISING / (len(_RISES) - 1.0)))
         likelihood = jnp.where(allowed, likelihood + prior_weight, -jnp.inf)
         middle = jnp.exp(-spacing / jnp.maximum(length, 1e-9 * spacing))
         middle = jnp.where(steps == 0, 0.0, jnp.minimum(middle, _MOST_CORRELATED))
@@ -315,4 +318,4 @@ def _averaged(lane, state, jacobian, misfit, noise, used, spread):
     freedom = jnp.maximum((weight @ share) * freedom, 1.0)
     noise = noise * jnp.sqrt(weight @ scale)
     best = jnp.argmax(likelihood)
-    return mean, covariance, noise, freedom, length[best], sd[best]
+    return mean, covariance, noise, freedom, weight @ length, sd[best]

@@ -15,6 +15,7 @@ _STEPS = (0.0, 0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0)
 _THINNEST = 0.1
 _STRONG = 6.0
 _LEAST_P = 0.01
+_GOLDEN, _GOLDEN_STEPS = 0.6180339887498949, 8
 
 
 def ninther(values: np.ndarray) -> np.ndarray:
@@ -71,20 +72,16 @@ def choose_interfaces(
     evidence: Kass & Raftery 1995) and the residuals pass the runs test (p > 0.01).
 
     `light` (depth, wl): Ed less darkness, over the light above; `mask` (depth, wl).  All bands
-    share the interfaces, which lie on samples.  A layer holds at least `MIN_DEPTHS` of them and a
-    tenth of the range, lest it describe a wave.  Found one by one, each time all are moved to
-    their best place in turn.  Waves are correlated over depth and shared by the bands: the
-    criterion whitens the first, with the length that the residuals of the most layers show, and
-    counts the independent bands.
+    share the interfaces.  A layer holds at least `MIN_DEPTHS` samples and a tenth of the range,
+    lest it describe a wave.  Found one by one on samples, each time all are moved to their best
+    place in turn; those chosen are then placed between samples.  Waves are correlated over depth
+    and shared by the bands: the criterion whitens the first, with the length that the residuals of
+    the most layers show, and counts the independent bands.
 
     **Raises** ValueError if the samples do not suffice for so many layers.
     """
-    safe = np.where(mask & (light > 0), light, 1.0)
-    weight = np.where(mask & (light > 0), safe**2, 0.0)
-    weight = weight / (safe**2 + (floor / RELATIVE_NOISE) ** 2)
-    weight = np.where(_outliers(np.log(safe), weight > 0), 0.0, weight)
     used = depth[mask.any(axis=1)]
-    cast = _Lines(depth, np.log(safe), weight)
+    cast = _weighted(depth, light, floor, mask)
     found = _search(cast, used, layers or _MAX_LAYERS)
     cast.measure(found[-1])
     if cast.length > 0:
@@ -95,20 +92,39 @@ def choose_interfaces(
                 f"layers is {layers}, but {len(used)} usable depths allow {len(found)}: each "
                 f"layer needs at least {MIN_DEPTHS} and a tenth of the range."
             )
-        return np.array(found[-1])
+        return _refined(cast, used, found[-1])
     scores = np.array([cast.criterion(one) for one in found])
     fewest = int(np.argmax(scores <= scores.min() + _STRONG))
     for one in found[fewest:]:
         if cast.looks_random(one):
-            return np.array(one)
-    return np.array(found[fewest])
+            return _refined(cast, used, one)
+    return _refined(cast, used, found[fewest])
+
+
+def line_fit(depth, light, floor, mask, interfaces) -> tuple[np.ndarray, np.ndarray, float]:
+    """Intercept and slope of ln light in each layer of one band, their covariance, and degrees of
+    freedom; (depth, 1) arrays, weighted and whitened as in `choose_interfaces`."""
+    cast = _weighted(depth, light, floor, mask)
+    cast.measure(interfaces)
+    design, y, normal = cast.lanes(interfaces, cast.length)
+    inverse = np.linalg.inv(normal[0])
+    beta = inverse @ (design[0].T @ y[0])[:, 0]
+    left = y[0][:, 0] - design[0] @ beta
+    dof = max(float(cast.count[0]) - len(beta), 1.0)
+    return beta, inverse * (left @ left) / dof, dof
+
+
+def _weighted(depth, light, floor, mask) -> "_Lines":
+    safe = np.where(mask & (light > 0), light, 1.0)
+    weight = np.where(mask & (light > 0), safe**2, 0.0)
+    weight = weight / (safe**2 + (floor / RELATIVE_NOISE) ** 2)
+    weight = np.where(_outliers(np.log(safe), weight > 0), 0.0, weight)
+    return _Lines(depth, np.log(safe), weight)
 
 
 def _search(cast: "_Lines", used: np.ndarray, most: int) -> list[list[float]]:
     """The best interfaces for 1, 2 ... layers, as far as there is room."""
-    places = np.unique(used)[MIN_DEPTHS:-MIN_DEPTHS]
-    if len(places) > _CANDIDATES:
-        places = places[np.linspace(0, len(places) - 1, _CANDIDATES).round().astype(int)]
+    places = _places(used)
     found: list[list[float]] = [[]]
     while len(found) < most:
         better = _added(cast, used, found[-1], places)
@@ -116,6 +132,46 @@ def _search(cast: "_Lines", used: np.ndarray, most: int) -> list[list[float]]:
             break
         found.append(better)
     return found
+
+
+def _places(used: np.ndarray) -> np.ndarray:
+    places = np.unique(used)[MIN_DEPTHS:-MIN_DEPTHS]
+    if len(places) > _CANDIDATES:
+        places = places[np.linspace(0, len(places) - 1, _CANDIDATES).round().astype(int)]
+    return places
+
+
+def _refined(cast: "_Lines", used: np.ndarray, interfaces: list[float]) -> np.ndarray:
+    """Each interface moved, between the candidates beside it, to where the misfit is least."""
+    places, best = _places(used), list(interfaces)
+    for i in [*range(len(best))] * (2 if len(best) > 1 else 1):
+        at = int(np.argmin(np.abs(places - best[i])))
+        low, high = places[max(at - 1, 0)], places[min(at + 1, len(places) - 1)]
+        place = _golden(_with(cast, best, i), low, high)
+        moved = [*best[:i], place, *best[i + 1 :]]
+        if _roomy(used, moved) and cast.misfit(moved) <= cast.misfit(best):
+            best = moved
+    return np.array(best)
+
+
+def _with(cast: "_Lines", interfaces: list[float], i: int):
+    return lambda place: cast.misfit([*interfaces[:i], place, *interfaces[i + 1 :]])
+
+
+def _golden(function, low: float, high: float) -> float:
+    """Where a function is least, by golden section."""
+    inner = [high - _GOLDEN * (high - low), low + _GOLDEN * (high - low)]
+    scores = [function(place) for place in inner]
+    for _ in range(_GOLDEN_STEPS):
+        if scores[0] < scores[1]:
+            high, inner[1], scores[1] = inner[1], inner[0], scores[0]
+            inner[0] = high - _GOLDEN * (high - low)
+            scores[0] = function(inner[0])
+        else:
+            low, inner[0], scores[0] = inner[0], inner[1], scores[1]
+            inner[1] = low + _GOLDEN * (high - low)
+            scores[1] = function(inner[1])
+    return 0.5 * (low + high)
 
 
 def _outliers(log_light: np.ndarray, mask: np.ndarray) -> np.ndarray:
@@ -183,8 +239,8 @@ class _Lines:
         before = np.take_along_axis(columns, np.broadcast_to(index, columns.shape), axis=0)
         return (columns - rho.reshape(shape) * before) / np.sqrt(1.0 - rho**2).reshape(shape)
 
-    def _solved(self, interfaces, length):
-        """Whitened residual (depth, wl) and ln det of each band's normal matrix."""
+    def lanes(self, interfaces, length):
+        """Whitened design (wl, depth, unknown) and data (wl, depth, 1), and normal matrices."""
         edges = np.array([0.0, *interfaces, np.inf])
         path = np.clip(self.depth[:, None] - edges[None, :-1], 0.0, np.diff(edges)[None, :])
         columns = np.concatenate([np.ones_like(path[:, :1]), path], axis=1)
@@ -199,8 +255,13 @@ class _Lines:
         turned = design.transpose(0, 2, 1)
         normal, size = turned @ design, len(edges)
         ridge = 1e-12 * np.trace(normal, axis1=1, axis2=2)[:, None, None] * np.eye(size)
-        left = y - design @ np.linalg.solve(normal + ridge, turned @ y)
-        return left[:, :, 0].T, np.linalg.slogdet(normal + ridge)[1]
+        return design, y, normal + ridge
+
+    def _solved(self, interfaces, length):
+        """Whitened residual (depth, wl) and ln det of each band's normal matrix."""
+        design, y, normal = self.lanes(interfaces, length)
+        left = y - design @ np.linalg.solve(normal, design.transpose(0, 2, 1) @ y)
+        return left[:, :, 0].T, np.linalg.slogdet(normal)[1]
 
     def misfit(self, interfaces) -> float:
         """Minus twice the log likelihood, the noise of each band free."""

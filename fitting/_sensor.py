@@ -42,15 +42,16 @@ def darkness(Ed: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return level, error, scatter
 
 
-def smooth_reference(surface: np.ndarray) -> np.ndarray:
-    """Slow changes of the light above, relative to their median; (depth, wl) in order of time.
+def smooth_reference(surface: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Slow changes of the light above relative to their median, (depth, wl) in order of time, and
+    the median, (wl,), NaN where there is none.
 
     A running median over a quarter of the cast: a dip that ends within an eighth of the cast is a
     shadow on this sensor (a shadow band's arm), not on the water, and leaves no trace.
     """
     from scipy.ndimage import median_filter
 
-    smooth = np.empty_like(surface)
+    smooth, level = np.empty_like(surface), np.full(surface.shape[1], np.nan)
     for i, column in enumerate(surface.T):
         good = np.isfinite(column) & (column > 0)
         if good.sum() < MIN_DEPTHS:
@@ -60,8 +61,9 @@ def smooth_reference(surface: np.ndarray) -> np.ndarray:
         filled = np.interp(index, index[good], column[good])
         width = 2 * (len(column) // 8) + 1
         slow = median_filter(filled, width, mode="nearest")
-        smooth[:, i] = slow / np.median(slow)
-    return smooth
+        level[i] = np.median(slow)
+        smooth[:, i] = slow / level[i]
+    return smooth, level
 
 
 def thinned(data: dict) -> tuple[dict, int]:

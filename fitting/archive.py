@@ -8,7 +8,9 @@ import jax
 
 from fitting.casts import Reading, profile_of, raw_casts
 from fitting.observations import Profile
+from fitting.parameters import Parameter
 from fitting.profiles import ProfileFits, fit_profiles
+from oceaninv.transport.base import AbstractTransport
 
 # Files that are read, fitted together and written before the next ones.
 GROUP = 64
@@ -31,12 +33,14 @@ class Outcome:
 
 @dataclasses.dataclass(frozen=True)
 class Task:
-    """How to read and fit."""
+    """How to read and fit; `depth_range` to `priors` as for `fit_profiles`."""
 
     folder: Path
     reading: Reading = dataclasses.field(default_factory=Reading)
     depth_range: tuple[float, float] | None = None
     layers: int | None = 1
+    transport: AbstractTransport | None = None
+    priors: dict[str, Parameter] | None = None
 
 
 def result_path(path: Path, folder: Path) -> Path:
@@ -68,7 +72,13 @@ def fit_group(paths: Sequence[Path], task: Task, x64: bool) -> list[Outcome]:
     with jax.enable_x64(x64):
         read = [_read(path, task.reading) for path in paths]
         together = [profile for profiles, _ in read for profile in profiles]
-        fits = fit_profiles(together, depth_range=task.depth_range, layers=task.layers)
+        fits = fit_profiles(
+            together,
+            depth_range=task.depth_range,
+            layers=task.layers,
+            transport=task.transport,
+            priors=task.priors,
+        )
     outcomes, at = [], 0
     for path, (profiles, problems) in zip(paths, read, strict=True):
         own = fits.part(range(at, at + len(profiles)))
@@ -93,7 +103,7 @@ def _write(fits: ProfileFits, target: Path) -> None:
 def fit_archive(
     paths: Iterable[str | Path], task: Task, cluster: str | None = None, group: int = GROUP
 ) -> Iterator[Outcome]:
-    """Kd of all casts in many files, one netCDF beside the other in `task.folder`.
+    """Fits of all casts in many files, one netCDF beside the other in `task.folder`.
 
     Results that are there and not older than their file are kept: an interrupted run goes on
     where it stopped.  A file that cannot be used is reported and skipped.  `cluster`: address of

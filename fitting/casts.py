@@ -33,7 +33,8 @@ class Reading:
     - `units`: unit by column name, `{"Ed": "uW cm-2 nm-1"}` for all bands of a kind, where the
       file states none.
     - `columns`: the file's column by the name that is wanted here: `{"depth": "z"}`.
-    - `depth_offset`: metres from the pressure sensor down to the light sensor.
+    - `depth_offset`: metres from the pressure sensor down to the sensor of Ed.
+    - `upward_offset`: the same to the sensors of Eu and Lu; None: as `depth_offset`.
     - `tilt_limit`: degrees; samples tilted further are left out.
     """
 
@@ -41,6 +42,7 @@ class Reading:
     units: Mapping[str, str] = dataclasses.field(default_factory=dict)
     columns: Mapping[str, str] = dataclasses.field(default_factory=dict)
     depth_offset: float = 0.0
+    upward_offset: float | None = None
     tilt_limit: float | None = None
 
 
@@ -216,15 +218,20 @@ def _flagged(raw: RawCast, name: str, values: np.ndarray, counts: dict[str, int]
 
 def profile_of(raw: RawCast, reading: Reading | None = None) -> Profile:
     """A checked profile of what a file held; flags, tilt and units are dealt with here."""
-    reading, counts = reading or Reading(), dict(raw.counts)
+    reading, counts, calibrated = reading or Reading(), dict(raw.counts), True
     depth = _depth(raw, reading) + reading.depth_offset
     groups: dict[str, dict[float, np.ndarray]] = {}
     for name, values in raw.columns.items():
         found = _IRRADIANCE.fullmatch(name.strip())
         if found:
             kind = _KINDS[found.group("kind").lower()]
-            # The reference above the surface counts relative to itself: its unit never matters.
-            factor = 1.0 if kind == "surface" else _factor(raw, name.strip(), kind, reading)
+            try:
+                factor = _factor(raw, name.strip(), kind, reading)
+            except ValueError:
+                # Of the light above, changes alone serve most purposes: they have no unit.
+                if kind != "surface":
+                    raise
+                factor, calibrated = 1.0, False
             bands = groups.setdefault(kind, {})
             # A band that comes twice is told from its twin, and refused as not increasing.
             key = float(found.group("nm")) - (1e-9 if name.endswith(" ") else 0.0)
@@ -269,6 +276,10 @@ def profile_of(raw: RawCast, reading: Reading | None = None) -> Profile:
             solar_zenith=raw.solar_zenith if reading.solar_zenith is None else reading.solar_zenith,
             source=raw.name,
             counts=counts,
+            calibrated=calibrated,
+            upward_below=0.0
+            if reading.upward_offset is None
+            else reading.upward_offset - reading.depth_offset,
         )
     except ValueError as error:
         raise ValueError(f"{raw.name}: {error}") from None

@@ -35,16 +35,21 @@ class Profile:
       `sigma` is None; `None` estimates it from the deepest tenth of the cast.
     - `solar_zenith`: degrees in air, or None if unknown.
     - `source`: where the numbers come from, for reports.
-    - `Eu`, `Lu`: (depth, wl) upward irradiance and radiance of the same bands; NaN where absent.
+    - `Eu`, `Lu`: (depth, wl) upward irradiance and radiance (per sr) of the same bands, in the unit
+      of Ed; NaN where absent.
     - `surface`: (depth, wl) irradiance above the water at the same moments.  Its slow changes are
-      divided out of Ed; quick ones and dips that end, such as those of a shadow band, are not.
+      divided out of all light below; quick ones and dips that end, such as those of a shadow band,
+      are not.
     - `PAR`: (depth,) photosynthetically available radiation, any unit.
+    - `upward_below`: metres from the sensor of Ed down to those of Eu and Lu.
+    - `calibrated`: whether `surface` is in the unit of Ed; if not, only its changes are used.
     - `tilt`: (depth,) degrees, for reports.
     - `counts`: what was left out before, by reason, for reports.
 
     Casts of more than 2,048 samples are reduced to medians of neighbours in depth.  `dark`,
     `dark_sd` (wl,): the reading in darkness, where the cast reaches it, else 0; `reference`
-    (depth, wl): the light above relative to its median.
+    (depth, wl): the light above relative to its median; `Es` (wl,): that median in the unit of Ed,
+    None if it is not known.
 
     Raises ValueError, naming band and count, when a band keeps fewer than 5 depths.
     """
@@ -60,6 +65,8 @@ class Profile:
     Eu: Float[np.ndarray, "depth wl"] | None
     Lu: Float[np.ndarray, "depth wl"] | None
     reference: Float[np.ndarray, "depth wl"] | None
+    Es: Float[np.ndarray, " wl"] | None
+    upward_below: float
     PAR: Float[np.ndarray, " depth"] | None
     tilt: Float[np.ndarray, " depth"] | None
     dark: Float[np.ndarray, " wl"]
@@ -81,6 +88,8 @@ class Profile:
         surface=None,
         PAR=None,
         tilt=None,
+        upward_below: float = 0.0,
+        calibrated: bool = True,
         counts: Mapping[str, int] | None = None,
     ):
         depth, wavelength = as_array("depth", depth, 1), check_wavelength(wavelength)
@@ -104,8 +113,9 @@ class Profile:
                         f"{Ed.shape if name in tables else depth.shape}."
                     )
                 (tables if name in tables else lines)[name] = array
+        level = None
         if surface is not None:
-            tables["reference"] = smooth_reference(tables["reference"])
+            tables["reference"], level = smooth_reference(tables["reference"])
         order = np.argsort(depth, kind="stable")
         data = {"depth": depth, **tables, **lines}
         data = {k: None if v is None else v[order] for k, v in data.items()}
@@ -140,6 +150,8 @@ class Profile:
             "mask": mask,
             "solar_zenith": solar_zenith,
             "source": source,
+            "Es": level if calibrated else None,
+            "upward_below": float(upward_below),
             "dark": dark,
             "dark_sd": dark_sd,
             "counts": counts,
@@ -150,6 +162,35 @@ class Profile:
     def masked(self) -> int:
         """How many values were missing, zero, negative or above the surface."""
         return int((~self.mask).sum())
+
+    def upward(self, kind: str, depth_range=(0.0, np.inf)) -> "tuple[Profile, np.ndarray] | None":
+        """A profile with "Eu" or "Lu" in the place of Ed, and which bands (wl,) it holds.
+
+        Those with at least 5 positive samples in the range of depths; None if there are none.
+        """
+        values = getattr(self, kind)
+        if values is None:
+            return None
+        depth = self.depth + self.upward_below
+        inside = (depth >= max(depth_range[0], 0.0)) & (depth <= depth_range[1])
+        seen = np.isfinite(values) & (values > 0) & inside[:, None]
+        if self.reference is not None:
+            seen &= np.isfinite(self.reference) & (self.reference > 0)
+        bands = seen.sum(axis=0) >= MIN_DEPTHS
+        if not bands.any():
+            return None
+        made = Profile(
+            depth,
+            self.wavelength[bands],
+            values[:, bands],
+            solar_zenith=self.solar_zenith,
+            source=f"{self.source}, {kind}",
+        )
+        if self.reference is not None:
+            reference = self.reference[:, bands]
+            object.__setattr__(made, "reference", reference)
+            object.__setattr__(made, "mask", made.mask & (reference > 0))
+        return made, bands
 
 
 _COEFFICIENTS = ("a", "b", "c")

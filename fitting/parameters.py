@@ -192,6 +192,26 @@ def shape_nuisances() -> tuple[Parameter, ...]:
     )
 
 
+def water_unknowns(solar_zenith: float | None) -> tuple[Parameter, ...]:
+    """Constituents, the nuisances of their shapes, and those of the light's way down."""
+    return (
+        *constituents(),
+        *shape_nuisances(),
+        # Refraction keeps the sun within 48 degrees under water: an unknown sun matters less than
+        # it seems; the spread also stands for the share of sky light.
+        Parameter(
+            "solar_zenith",
+            40.0 if solar_zenith is None else max(solar_zenith, 1.0),
+            0.4 if solar_zenith is None else 0.05,
+            Log(),
+            "degree",
+            True,
+        ),
+        # What the closed form gets wrong in Kd.
+        Parameter("closure", 0.0, 0.02, Identity(), "1", True),
+    )
+
+
 def water_iops(values: Mapping[str, Float[Array, ""]], wavelength: np.ndarray):
     """IOPs of the default model with whichever nuisances `values` names.
 

@@ -27,7 +27,8 @@ class Quantity:
     """A derived quantity with its standard deviation, scalar or (wl,).
 
     `sd` is of the natural logarithm (relative): optical coefficients are positive.  `samples`:
-    (draw, ...) values of a sampled posterior, whose quantiles are then the intervals.
+    (draw, ...) values of a sampled posterior, whose quantiles are then the intervals.  `dof`:
+    degrees of freedom of its own, of the shape of `value`, where it has such.
     """
 
     value: np.ndarray
@@ -35,21 +36,22 @@ class Quantity:
     unit: str
     long_name: str
     samples: np.ndarray | None = None
+    dof: np.ndarray | None = None
 
-    def interval(self, level: float = 0.95, dof: float | None = None):
+    def interval(self, level: float = 0.95, dof: float | Vector | None = None):
         """(low, high) that holds the truth with probability `level`."""
         if self.samples is not None:
             return tuple(np.quantile(self.samples, [0.5 - 0.5 * level, 0.5 + 0.5 * level], axis=0))
-        reach = quantile(level, dof) * self.sd
+        reach = quantile(level, dof if self.dof is None else self.dof) * self.sd
         return self.value * np.exp(-reach), self.value * np.exp(reach)
 
 
-def quantile(level: float, dof: float | None = None) -> float:
+def quantile(level: float, dof: float | np.ndarray | None = None) -> Any:
     """Half-width of a central interval in standard deviations: normal, or Student's t."""
     from scipy.special import ndtri, stdtrit
 
     tail = 0.5 + 0.5 * level
-    return float(ndtri(tail) if dof is None else stdtrit(dof, tail))
+    return ndtri(tail) if dof is None else stdtrit(dof, tail)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -79,7 +81,8 @@ class Fit:
     - `quantities`: derived quantities (Kd, c, ...).
     - `result`: a sentence that says whether the search converged.
     - `posterior_predictive`: observations beside predictions.
-    - `dof`: degrees of freedom when the noise was estimated from the residuals, else None.
+    - `dof`: degrees of freedom when the noise was estimated from the residuals, (unknown,) where
+      the parameters differ; else None.
     - `metadata`: model, data, counts of masked values, notes.
     - `problem`: the posterior itself, for `fitting.sample`; None where a fit keeps none.
     - `samples`: (draw, unknown) coordinates drawn from the posterior, or None; intervals are
@@ -94,7 +97,7 @@ class Fit:
     result: str
     posterior_predictive: Predictive
     metadata: Mapping[str, Any]
-    dof: float | None = None
+    dof: float | Vector | None = None
     sensitivity: Mapping[str, Mapping[str, float]] = dataclasses.field(default_factory=dict)
     problem: Any = dataclasses.field(default=None, repr=False)
     samples: np.ndarray | None = dataclasses.field(default=None, repr=False)
@@ -131,7 +134,8 @@ class Fit:
             ends = np.quantile(self.samples[:, i], [0.5 - 0.5 * level, 0.5 + 0.5 * level])
             low, high = (float(transform.physical(end)) for end in ends)
             return low, high
-        reach = quantile(level, self.dof) * np.sqrt(self.covariance[i, i])
+        dof = self.dof[i] if isinstance(self.dof, np.ndarray) else self.dof
+        reach = quantile(level, dof) * np.sqrt(self.covariance[i, i])
         low, high = self.x[i] - reach, self.x[i] + reach
         return float(transform.physical(low)), float(transform.physical(high))
 

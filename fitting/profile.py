@@ -1,5 +1,7 @@
 """Depth profiles of irradiance to Kd(wl), and to constituents."""
 
+from collections.abc import Mapping
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -8,21 +10,14 @@ from jaxtyping import Array, Bool, Float
 
 import oceaninv as oi
 from fitting._bands import BandFit, thickness
-from fitting._evidence import choose_interfaces, runs_p, whitened
-from fitting._lanes import Job, fit_lanes, light_of, padded, window
+from fitting._evidence import runs_p, whitened
+from fitting._lanes import Job, fit_lanes, light_of, padded
+from fitting._par import light_of_bands, light_of_sensor, light_quantities
 from fitting._planned import Demand, fit_within, scene_at
 from fitting._programs import kept
-from fitting.observations import MIN_DEPTHS, Profile
-from fitting.parameters import (
-    Identity,
-    Log,
-    Parameter,
-    Parameters,
-    Prior,
-    constituents,
-    shape_nuisances,
-    water_iops,
-)
+from fitting._upward import Cast, cast_of, cast_quantities, lit, upward_notes
+from fitting.observations import Profile
+from fitting.parameters import Log, Parameter, Parameters, Prior, water_iops, water_unknowns
 from fitting.posterior import Fit, Predictive, Quantity
 from fitting.quantities import quantities_of, water_quantities
 from fitting.solve import (
@@ -41,19 +36,6 @@ def _band_model(profile: Profile, x: np.ndarray, interfaces: np.ndarray) -> np.n
     return profile.dark + (light if profile.reference is None else profile.reference * light)
 
 
-def prepare(profile: Profile, depth_range=None, layers: int | None = 1) -> tuple[Job, str]:
-    """The samples to use and where layers meet, and which mean Kd the fit will be."""
-    if layers is not None and layers < 1:
-        raise ValueError(f"layers is {layers}; give 1 or more, or None to let the data choose.")
-    mask, definition = window(profile, depth_range)
-    interfaces = np.zeros(0)
-    if layers != 1:
-        interfaces = choose_interfaces(
-            profile.depth, light_of(profile), profile.floor, mask, layers
-        )
-    return Job(profile, mask, interfaces), definition
-
-
 def fit_profile(
     profile: Profile,
     *,
@@ -63,7 +45,7 @@ def fit_profile(
     layers: int | None = 1,
     tolerance: float | None = None,
 ) -> Fit:
-    """Fit a depth profile of downward irradiance.
+    """Fit a depth profile of irradiance.
 
     **Arguments:**
 
@@ -85,29 +67,32 @@ def fit_profile(
       its predicted error, stand in `metadata["plan"]`.
 
     **Returns** a `Fit` with the quantity "Kd" at the profile's wavelengths (which mean it is
-    stands in `metadata["kd_definition"]`); with a transport also Kd(490), c(550), bb(550) and
-    a_cdm(440) of the water.
+    stands in `metadata["kd_definition"]`).  Without a transport also Ed(0-); where the profile
+    holds them, of Eu Ku, Eu(0-) and R, of Lu KLu, Lu(0-), Rrs and nLw; with PAR or bands that span
+    it the depths Z_10 and Z_eu of 10 and 1 % of it.  With a transport also Kd(490), c(550),
+    bb(550) and a_cdm(440) of the water.
     """
     if (transport is not None or tolerance is not None) and layers != 1:
         raise ValueError("layers apply to a fit of Kd alone; a transport fits one water.")
-    job, definition = prepare(profile, depth_range, layers)
-    (bands,) = fit_lanes([job])
+    if transport is None and tolerance is None and priors:
+        raise ValueError("priors apply to a fit through a transport; Kd alone has none.")
+    cast = cast_of(profile, depth_range, layers)
     if tolerance is not None:
+        (bands,) = fit_lanes([cast.job])
 
         def solve(rung, start):
-            metadata = _metadata(job, bands, definition) | {"transport": type(rung).__name__}
-            return _constituent_fit(profile, job.mask, bands, rung, priors, metadata, start)
+            metadata = _metadata(cast, bands) | {"transport": type(rung).__name__}
+            return _constituent_fit(profile, cast.job.mask, bands, rung, priors, metadata, start)
 
         def scene(fit):
             return scene_at(fit.parameters, fit.x, profile.wavelength)
 
         return fit_within(tolerance, transport, solve, scene, [Demand("irradiance")])
     if transport is None:
-        if priors:
-            raise ValueError("priors apply to a fit through a transport; Kd alone has none.")
-        return kd_fit(job, bands, definition)
-    metadata = _metadata(job, bands, definition) | {"transport": type(transport).__name__}
-    return _constituent_fit(profile, job.mask, bands, transport, priors, metadata)
+        return kd_fit(cast, {kind: fit_lanes([job])[0] for kind, job in cast.jobs.items()})
+    (bands,) = fit_lanes([cast.job])
+    metadata = _metadata(cast, bands) | {"transport": type(transport).__name__}
+    return _constituent_fit(profile, cast.job.mask, bands, transport, priors, metadata)
 
 
 def _used(job: Job, bands: BandFit) -> np.ndarray:
@@ -117,15 +102,15 @@ def _used(job: Job, bands: BandFit) -> np.ndarray:
     return used & job.mask
 
 
-def _metadata(job: Job, bands: BandFit, definition: str) -> dict:
-    profile = job.profile
+def _metadata(cast: Cast, bands: BandFit) -> dict:
+    job, profile = cast.job, cast.job.profile
     used = _used(job, bands)
     counts = dict(profile.counts)
     counts["missing, zero or negative"] = profile.masked
     counts["outliers"] = int((job.mask & ~used).sum())
     metadata = {
         "source": profile.source,
-        "kd_definition": definition,
+        "kd_definition": cast.definition,
         "depths_used": [int(n) for n in job.mask.sum(axis=0)],
         "deepest_used_m": [float(profile.depth[m].max()) for m in job.mask.T],
         "masked_values": profile.masked,
@@ -155,29 +140,16 @@ def _kd_parameters(wavelength: np.ndarray, x: np.ndarray) -> Parameters:
     )
 
 
-def mean_kd(job: Job, x: np.ndarray, cov: np.ndarray) -> Quantity:
-    """Kd from the shallowest to the deepest sample used, the mean over layers by thickness."""
-    kd = np.exp(x[:, 1:])
-    if kd.shape[1] == 1:
-        mean, share = kd[:, 0], np.ones_like(kd)
-    else:
-        path = thickness(job.profile.depth, job.interfaces)
-        reach = np.array([path[m][-1] - path[m][0] for m in job.mask.T])
-        parts = reach * kd
-        mean = parts.sum(axis=1) / reach.sum(axis=1)
-        share = parts / parts.sum(axis=1, keepdims=True)
-    variance = np.einsum("wi,wij,wj->w", share, cov[:, 1:, 1:], share)
-    return Quantity(mean, np.sqrt(variance), "m-1", "diffuse attenuation coefficient")
+def light_depths(cast: Cast, bands: BandFit) -> tuple[dict[str, Quantity], dict]:
+    """PAR below the surface and the depths of 10 and 1 % of it, where the data allow, and notes."""
+    sensor = light_of_sensor(cast.job.profile)
+    light = sensor or light_of_bands(cast.job, bands, lit(cast.job))
+    return ({}, {}) if light is None else light_quantities(light, sensor is not None)
 
 
-def _lit(job: Job) -> np.ndarray:
-    """(wl,) whether the window holds light that stands out of the noise in darkness."""
-    light = np.where(job.mask, light_of(job.profile), -np.inf)
-    return np.partition(light, -MIN_DEPTHS, axis=0)[-MIN_DEPTHS] > 5.0 * job.profile.floor
-
-
-def kd_fit(job: Job, bands: BandFit, definition: str) -> Fit:
-    """The fit of Kd alone as a `Fit`."""
+def kd_fit(cast: Cast, fits: Mapping[str, BandFit]) -> Fit:
+    """The fit of Kd, and of K of upward light where there is any, as a `Fit`."""
+    job, bands = cast.job, fits["Ed"]
     profile, mask, interfaces = job.profile, job.mask, job.interfaces
     x, cov = np.asarray(bands.x), np.asarray(bands.covariance)
     n, unknowns = x.shape
@@ -187,27 +159,31 @@ def kd_fit(job: Job, bands: BandFit, definition: str) -> Fit:
     for i in range(unknowns):
         for j in range(unknowns):
             full[order + i * n, order + j * n] = cov[:, i, j]
-    kd = mean_kd(job, x, cov)
-    # Intervals of a band use its own degrees of freedom; the smallest is the honest one for all.
-    lit = _lit(job)
-    dof = None if profile.sigma is not None else float(np.min(bands.dof[lit], initial=1e9))
+    bright = lit(job)
+    dof = None if profile.sigma is not None else np.tile(bands.dof, unknowns)
+    quantities = cast_quantities(cast, fits)
+    depths, notes = light_depths(cast, bands)
     model = _band_model(profile, x, interfaces)
-    metadata = _metadata(job, bands, definition)
+    metadata = _metadata(cast, bands) | notes
+    metadata |= upward_notes(cast)
     metadata["interfaces_m"] = interfaces.tolist()
-    metadata["bands_without_light_nm"] = profile.wavelength[~lit].tolist()
+    metadata["bands_without_light_nm"] = profile.wavelength[~bright].tolist()
     metadata["bands_not_converged_nm"] = profile.wavelength[bands.code != 0].tolist()
     predictive = _predictive(profile, mask, bands, model)
     left = (predictive.observed - model) / predictive.sd
     left = np.where(_used(job, bands), left, np.nan)
     white = whitened(left, profile.depth, np.nan_to_num(bands.length))
-    metadata["runs_test_p"] = [runs_p(column) for column in white.T]
+    # Noise may be independent or waves of the length found: the test rejects what is neither.
+    metadata["runs_test_p"] = [
+        max(map(runs_p, columns)) for columns in zip(left.T, white.T, strict=True)
+    ]
     return Fit(
         parameters,
         x.T.reshape(-1),
         full,
-        {"Kd": kd},
+        quantities | depths,
         profile.wavelength,
-        sentence(bands.code[lit].max(initial=0)),
+        sentence(bands.code[bright].max(initial=0)),
         predictive,
         metadata,
         dof,
@@ -233,24 +209,10 @@ def _predictive(profile, mask, bands, model) -> Predictive:
 
 
 def _unknowns(profile: Profile, bands: BandFit, priors) -> Parameters:
-    sun = profile.solar_zenith
     surface = np.exp(bands.x[:, 0])
     parameters = Parameters(
         [
-            *constituents(),
-            *shape_nuisances(),
-            # Refraction keeps the sun within 48 degrees under water: an unknown sun matters less
-            # than it seems; the spread also stands for the share of sky light.
-            Parameter(
-                "solar_zenith",
-                40.0 if sun is None else max(sun, 1.0),
-                0.4 if sun is None else 0.05,
-                Log(),
-                "degree",
-                True,
-            ),
-            # What the closed form gets wrong in Kd.
-            Parameter("closure", 0.0, 0.02, Identity(), "1", True),
+            *water_unknowns(profile.solar_zenith),
             *(
                 Parameter(f"Ed0_{wl:g}", float(e), None, Log(), "W m-2 nm-1", True)
                 for wl, e in zip(profile.wavelength, surface, strict=True)

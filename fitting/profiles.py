@@ -1,16 +1,22 @@
 """Many depth profiles at once: one compiled program, results as arrays or one `Fit` each."""
 
-from collections.abc import Iterator, Mapping, Sequence
+import itertools
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from fitting._bands import BandFit
-from fitting._lanes import Job, fit_lanes
+from fitting._lanes import fit_lanes
+from fitting._upward import Cast, cast_of, cast_quantities
+from fitting.apparent import WaterFit, fit_waters, water_fit
 from fitting.observations import Profile
-from fitting.posterior import Fit
-from fitting.profile import kd_fit, mean_kd, prepare
+from fitting.parameters import Parameter
+from fitting.posterior import Fit, Quantity
+from fitting.profile import kd_fit, light_depths
+from fitting.report import STANDARD_NAMES
 from fitting.solve import RESULTS
+from oceaninv.transport.base import AbstractTransport
 
 if TYPE_CHECKING:
     import xarray
@@ -28,11 +34,13 @@ class ProfileFits:
     def __init__(
         self,
         sources: Sequence[str],
-        jobs: Mapping[int, tuple[Job, str]],
-        bands: Mapping[int, BandFit],
+        casts: Mapping[int, Cast],
+        fits: Mapping[int, Mapping[str, BandFit]],
         failures: Mapping[int, str],
+        waters: Mapping[int, WaterFit] | None = None,
     ):
-        self._sources, self._jobs, self._bands = list(sources), jobs, bands
+        self._waters = waters or {}
+        self._sources, self._casts, self._fits = list(sources), casts, fits
         self.failures = failures
 
     def __len__(self) -> int:
@@ -44,8 +52,7 @@ class ProfileFits:
         i = range(len(self))[index]
         if i in self.failures:
             raise ValueError(self.failures[i])
-        job, definition = self._jobs[i]
-        return kd_fit(job, self._bands[i], definition)
+        return kd_fit(self._casts[i], self._fits[i])
 
     def __iter__(self) -> Iterator[Fit]:
         return (self[i] for i in range(len(self)))
@@ -57,57 +64,56 @@ class ProfileFits:
         def chosen(by_index):
             return {new: by_index[i] for new, i in enumerate(indices) if i in by_index}
 
-        return ProfileFits(sources, chosen(self._jobs), chosen(self._bands), chosen(self.failures))
+        return ProfileFits(
+            sources,
+            chosen(self._casts),
+            chosen(self._fits),
+            chosen(self.failures),
+            chosen(self._waters),
+        )
+
+    def water(self, index: int) -> Fit:
+        """The constituents of one cast; only where a transport was given."""
+        i = range(len(self))[index]
+        if i in self.failures:
+            raise ValueError(self.failures[i])
+        if i not in self._waters:
+            raise ValueError("no constituents were fitted: give fit_profiles a transport.")
+        return water_fit(self._casts[i], self._fits[i]["Ed"], self._waters[i])
 
     def to_xarray(self) -> "xarray.Dataset":
-        """Kd (cast, wavelength) with 95 % intervals, NaN where a cast lacks a band or failed."""
-        import xarray as xr
-        from scipy.special import stdtrit
+        """Every quantity (cast, wavelength) or (cast,) with its 95 % interval, by its name.
 
-        grids = [self._jobs[i][0].profile.wavelength for i in self._jobs]
+        NaN where a cast lacks a band or a quantity, or failed.
+        """
+        import xarray as xr
+
+        grids = [cast.job.profile.wavelength for cast in self._casts.values()]
         wavelength = np.unique(np.concatenate([*grids, np.zeros(0)]))
-        shape = (len(self), len(wavelength))
-        kd, reach, code = np.full(shape, np.nan), np.full(shape, np.nan), np.full(shape, -1)
-        for i, (job, _) in self._jobs.items():
-            fit, profile = self._bands[i], job.profile
-            at = np.searchsorted(wavelength, profile.wavelength)
-            mean = mean_kd(job, np.asarray(fit.x), np.asarray(fit.covariance))
-            dof = np.inf if profile.sigma is not None else np.asarray(fit.dof)
-            kd[i, at], reach[i, at] = mean.value, stdtrit(dof, 0.975) * mean.sd
-            code[i, at] = fit.code
-        unit = {"units": "m-1"}
-        name = "volume_attenuation_coefficient_of_downwelling_radiative_flux_in_sea_water"
-        dims = ("cast", "wavelength")
-        definitions = sorted({definition for _, definition in self._jobs.values()})
-        text = "diffuse attenuation coefficient"
+        code = np.full((len(self), len(wavelength)), -1, np.int8)
+        table = _Table(len(self), wavelength)
+        for i, cast in self._casts.items():
+            fits = self._fits[i]
+            at = np.searchsorted(wavelength, cast.job.profile.wavelength)
+            code[i, at] = fits["Ed"].code
+            for name, quantity in self._quantities(i).items():
+                table.put(name, quantity, i, at)
+        definitions = sorted({cast.definition for cast in self._casts.values()})
+        notes = {
+            "long_name": "how the search ended",
+            "flag_values": np.array([-1, *RESULTS], dtype=np.int8),
+            "flag_meanings": "absent converged step_limit not_finite",
+        }
+        failures = np.array([self.failures.get(i, "") for i in range(len(self))], dtype=str)
+        spectral = {"units": "nm", "standard_name": "radiation_wavelength"}
         return xr.Dataset(
             {
-                "Kd": (dims, kd, {**unit, "standard_name": name, "long_name": text}),
-                "Kd_low": (dims, kd * np.exp(-reach), {**unit, "long_name": f"{text}, 2.5 %"}),
-                "Kd_high": (dims, kd * np.exp(reach), {**unit, "long_name": f"{text}, 97.5 %"}),
-                "search": (
-                    dims,
-                    code.astype(np.int8),
-                    {
-                        "long_name": "how the search ended",
-                        "flag_values": np.array([-1, *RESULTS], dtype=np.int8),
-                        "flag_meanings": "absent converged step_limit not_finite",
-                    },
-                ),
+                **table.variables(),
+                "search": (("cast", "wavelength"), code, notes),
                 "source": ("cast", np.array(self._sources, dtype=str), {"long_name": "source"}),
-                "failure": (
-                    "cast",
-                    np.array([self.failures.get(i, "") for i in range(len(self))], dtype=str),
-                    {"long_name": "why the cast could not be used"},
-                ),
+                "failure": ("cast", failures, {"long_name": "why the cast could not be used"}),
             },
-            {
-                "wavelength": (
-                    "wavelength",
-                    wavelength,
-                    {"units": "nm", "standard_name": "radiation_wavelength"},
-                )
-            },
+            {"wavelength": ("wavelength", wavelength, spectral)},
             {
                 "Conventions": "CF-1.11",
                 "title": "Kd of many casts by oceaninv",
@@ -115,27 +121,104 @@ class ProfileFits:
             },
         )
 
+    def _quantities(self, i: int) -> dict[str, Quantity]:
+        cast, fits = self._casts[i], self._fits[i]
+        found = cast_quantities(cast, fits) | light_depths(cast, fits["Ed"])[0]
+        if i in self._waters:
+            fit = self.water(i)
+            sd = fit.sd
+            for p in fit.parameters:
+                if not p.nuisance:
+                    found[p.name] = Quantity(
+                        np.array(fit.value[p.name]), np.array(sd[p.name]), p.unit, p.name
+                    )
+            found |= {n: q for n, q in fit.quantities.items() if q.value.ndim == 0}
+        return found
+
+
+class _Table:
+    """Quantities of casts gathered by name; made as they come."""
+
+    def __init__(self, count: int, wavelength: np.ndarray):
+        self.count, self.wavelength = count, wavelength
+        self.rows: dict[str, np.ndarray] = {}
+        self.kinds: dict[str, Quantity] = {}
+
+    def put(self, name: str, quantity: Quantity, i: int, at: np.ndarray) -> None:
+        spectral = quantity.value.ndim == 1
+        if name not in self.rows:
+            shape = (3, self.count, *([len(self.wavelength)] if spectral else []))
+            self.rows[name], self.kinds[name] = np.full(shape, np.nan), quantity
+        ends = quantity.interval(0.95)
+        for row, value in zip(self.rows[name], (quantity.value, *ends), strict=True):
+            row[(i, at) if spectral else i] = value
+
+    def variables(self) -> dict:
+        found = {}
+        for name, rows in self.rows.items():
+            kind = self.kinds[name]
+            dims = ("cast", "wavelength")[: rows.ndim - 1]
+            notes = {"units": kind.unit, "long_name": kind.long_name}
+            standard = STANDARD_NAMES.get(name.split("_")[0])
+            own = {"standard_name": standard} if standard else {}
+            found[name] = (dims, rows[0], notes | own)
+            for suffix, row, words in (("low", rows[1], "2.5 %"), ("high", rows[2], "97.5 %")):
+                text = f"{kind.long_name}, {words}"
+                found[f"{name}_{suffix}"] = (dims, row, notes | {"long_name": text})
+        return found
+
 
 def fit_profiles(
     profiles: Sequence[Profile],
     *,
     depth_range: tuple[float, float] | None = None,
     layers: int | None = 1,
+    transport: AbstractTransport | None = None,
+    priors: dict[str, Parameter] | None = None,
 ) -> ProfileFits:
-    """Kd of many casts, as `fit_profile` without a transport gives it for each.
+    """Kd (and K of upward light) of many casts, as `fit_profile` without a transport gives it.
 
     Casts of any lengths and bands: they are padded to few shapes and go through one compiled
     program per shape in chunks, shared out over the local devices.  A cast's result does not
     depend on the others.  `depth_range`, `layers`: as for `fit_profile`; finding layers (None or
     above 1) costs some hundredths of a second per cast.
+
+    `transport`: fits the constituents of each cast as well (`ProfileFits.water`), through a model
+    of the light such as `oceaninv.TwoStream()`, from Ed and, where Eu was measured, R; outliers
+    of the fit of Kd are left out.  `priors` as for `fit_profile`, for all casts.
     """
-    jobs: dict[int, tuple[Job, str]] = {}
+    if priors and transport is None:
+        raise ValueError("priors apply to a fit through a transport; Kd alone has none.")
+    casts: dict[int, Cast] = {}
     failures: dict[int, str] = {}
     for i, profile in enumerate(profiles):
         try:
-            jobs[i] = prepare(profile, depth_range, layers)
+            casts[i] = cast_of(profile, depth_range, layers)
         except ValueError as error:
             failures[i] = f"{profile.source}: {error}"
-    fits = fit_lanes([job for job, _ in jobs.values()]) if jobs else []
-    bands = dict(zip(jobs, fits, strict=True))
-    return ProfileFits([p.source for p in profiles], jobs, bands, failures)
+    keys = [(i, kind) for i, cast in casts.items() for kind in cast.jobs]
+    fitted = fit_lanes([casts[i].jobs[kind] for i, kind in keys]) if keys else []
+    fits: dict[int, dict[str, BandFit]] = {i: {} for i in casts}
+    for (i, kind), fit in zip(keys, fitted, strict=True):
+        fits[i][kind] = fit
+    waters = {} if transport is None else fit_waters(casts, fits, transport, priors)
+    return ProfileFits([p.source for p in profiles], casts, fits, failures, waters)
+
+
+def stream_profiles(
+    profiles: Iterable[Profile], *, group: int = 1024, **options
+) -> "Iterator[xarray.Dataset]":
+    """Tables (`ProfileFits.to_xarray`) of `group` casts at a time, for any number of them.
+
+    Only one group is in memory; `options` as for `fit_profiles`.  A cast's result does not depend
+    on `group`.
+    """
+    for part in _batched(profiles, group):
+        yield fit_profiles(part, **options).to_xarray()
+
+
+def _batched(items: Iterable, size: int) -> Iterator[list]:
+    """Lists of `size` items, the last one shorter (`itertools.batched` of Python 3.12)."""
+    source = iter(items)
+    while part := list(itertools.islice(source, size)):
+        yield part

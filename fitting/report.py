@@ -16,11 +16,15 @@ from fitting.posterior import Fit, Quantity
 if TYPE_CHECKING:
     import xarray
 
-_STANDARD_NAMES = {
+STANDARD_NAMES = {
     "Kd": "volume_attenuation_coefficient_of_downwelling_radiative_flux_in_sea_water",
     "c": "volume_beam_attenuation_coefficient_of_radiative_flux_in_sea_water",
     "bb": "volume_backwards_scattering_coefficient_of_radiative_flux_in_sea_water",
     "Ed": "downwelling_radiative_flux_per_unit_wavelength_in_sea_water",
+    "Eu": "upwelling_radiative_flux_per_unit_wavelength_in_sea_water",
+    "Lu": "upwelling_radiance_per_unit_wavelength_in_sea_water",
+    "Rrs": "surface_ratio_of_upwelling_radiance_emerging_from_sea_water_"
+    "to_downwelling_radiative_flux_in_air",
     "chlorophyll": "mass_concentration_of_chlorophyll_a_in_sea_water",
 }
 LEVEL = 0.95
@@ -81,8 +85,8 @@ def _content(fit: Fit) -> tuple[dict, dict, dict]:
         dims = () if quantity.value.ndim == 0 else ("wavelength",)
         attributes = {"units": quantity.unit, "long_name": quantity.long_name}
         stem = name.split("_")[0]
-        if stem in _STANDARD_NAMES:
-            attributes["standard_name"] = _STANDARD_NAMES[stem]
+        if stem in STANDARD_NAMES:
+            attributes["standard_name"] = STANDARD_NAMES[stem]
         below, above = quantity.interval(LEVEL, fit.dof)
         data[name] = (dims, quantity.value, attributes)
         for suffix, value in (("low", below), ("high", above)):
@@ -97,7 +101,7 @@ def _content(fit: Fit) -> tuple[dict, dict, dict]:
     ):
         attributes = {"units": predictive.unit, "long_name": f"{suffix} {label}"}
         if label == "Ed" and suffix != "sd":
-            attributes["standard_name"] = _STANDARD_NAMES["Ed"]
+            attributes["standard_name"] = STANDARD_NAMES["Ed"]
         data[f"{label}_{suffix}"] = (predictive.axes, value, attributes)
     coords: dict = {
         "parameter": np.array(names, dtype=str),
@@ -140,18 +144,23 @@ def picture(fit: Fit, path: str | Path, constituents: Fit | None = None) -> None
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(12.5, 4.6))
+    reflectance = "Rrs" in fit.quantities or "R" in fit.quantities
+    figure = Figure(figsize=(16.0 if reflectance else 12.5, 4.6))
     FigureCanvasAgg(figure)
     # Fixed margins: a computed layout would draw everything twice.
     margins = {"left": 0.06, "right": 0.985, "bottom": 0.12, "top": 0.87, "wspace": 0.2}
-    data, spectra, unknowns = figure.subplots(1, 3, width_ratios=(1.15, 1, 1), gridspec_kw=margins)
+    widths = (1.15, 1, *([1] if reflectance else []), 1)
+    places = figure.subplots(1, len(widths), width_ratios=widths, gridspec_kw=margins)
+    data, spectra, unknowns = places[0], places[1], places[-1]
+    if reflectance:
+        _draw_reflectance(places[2], fit)
     if "coefficient" in fit.posterior_predictive.axes:
         draw_coefficients(data, spectra, fit)
     else:
         draw = _draw_profile if "depth" in fit.posterior_predictive.axes else _draw_readings
         draw(data, fit)
         _draw_spectra(spectra, fit, constituents)
-    _draw_unknowns(unknowns, constituents or fit)
+    _draw_unknowns(unknowns, constituents or fit, fit)
     figure.suptitle(str(fit.metadata.get("source", "")), fontsize=9, color="0.35")
     with whole(path) as temporary:
         figure.savefig(temporary, dpi=130)
@@ -204,44 +213,39 @@ def _draw_readings(axes, fit: Fit) -> None:
 
 
 def _draw_spectra(axes, fit: Fit, constituents: Fit | None) -> None:
-    shown: list[tuple[str, Quantity, np.ndarray, str, float | None]] = []
-    if constituents is not None:
-        shown.append(
-            (
-                "Kd, model",
-                constituents.quantities["Kd"],
-                constituents.wavelength,
-                "0.45",
-                constituents.dof,
-            )
-        )
-    shown.append(("Kd", fit.quantities["Kd"], fit.wavelength, "tab:blue", fit.dof))
-    if "c" in fit.quantities:
-        shown.append(("c", fit.quantities["c"], fit.wavelength, "tab:orange", fit.dof))
-    for label, quantity, wavelength, colour, dof in shown:
-        low, high = quantity.interval(LEVEL, dof)
-        if len(wavelength) > 8:
-            axes.fill_between(wavelength, low, high, color=colour, alpha=0.25, lw=0)
-            axes.plot(wavelength, quantity.value, color=colour, label=label)
-        else:
-            error = np.stack([quantity.value - low, high - quantity.value])
-            axes.errorbar(
-                wavelength,
-                quantity.value,
-                error,
-                fmt="o",
-                ms=5,
-                capsize=3,
-                color=colour,
-                label=label,
-            )
+    named = [("Kd", "tab:blue"), ("Ku", "tab:green"), ("KLu", "tab:purple"), ("c", "tab:orange")]
+    shown = [("Kd, model", constituents, "Kd", "0.45")] if constituents is not None else []
+    shown += [(name, fit, name, colour) for name, colour in named if name in fit.quantities]
+    for label, source, name, colour in shown:
+        _draw_spectrum(axes, source.wavelength, source.quantities[name], label, colour, source.dof)
     axes.set(xlabel="wavelength (nm)", ylabel="coefficient (m⁻¹)")
     axes.set_ylim(0, None)
     axes.set_title("attenuation with 95 % intervals", fontsize=10)
     axes.legend(frameon=False, fontsize=9)
 
 
-def _draw_unknowns(axes, fit: Fit) -> None:
+def _draw_spectrum(axes, wavelength, quantity: Quantity, label: str, colour: str, dof=None) -> None:
+    low, high = quantity.interval(LEVEL, dof)
+    if len(wavelength) > 8:
+        axes.fill_between(wavelength, low, high, color=colour, alpha=0.25, lw=0)
+        axes.plot(wavelength, quantity.value, color=colour, label=label)
+        return
+    error = np.stack([quantity.value - low, high - quantity.value])
+    form = {"fmt": "o", "ms": 5, "capsize": 3, "color": colour, "label": label}
+    axes.errorbar(wavelength, quantity.value, error, **form)
+
+
+def _draw_reflectance(axes, fit: Fit) -> None:
+    for name, label, colour in (("Rrs", "Rrs (sr⁻¹)", "tab:purple"), ("R", "R", "tab:green")):
+        if name in fit.quantities:
+            _draw_spectrum(axes, fit.wavelength, fit.quantities[name], label, colour)
+    axes.set(xlabel="wavelength (nm)", ylabel="reflectance")
+    axes.set_ylim(0, None)
+    axes.set_title("reflectance with 95 % intervals", fontsize=10)
+    axes.legend(frameon=False, fontsize=9)
+
+
+def _draw_unknowns(axes, fit: Fit, plain: Fit) -> None:
     from matplotlib.ticker import NullFormatter, StrMethodFormatter
 
     rows = [
@@ -254,10 +258,11 @@ def _draw_unknowns(axes, fit: Fit) -> None:
         for p in fit.parameters
         if not p.nuisance
     ]
-    scalars = [(n, q) for n, q in fit.quantities.items() if q.value.ndim == 0]
     rows += [
-        (f"{name} ({q.unit})", float(q.value), q.interval(LEVEL, fit.dof), float(q.sd) <= 0.5)
-        for name, q in scalars
+        (f"{name} ({q.unit})", float(q.value), q.interval(LEVEL, one.dof), float(q.sd) <= 0.5)
+        for one in (fit, *([plain] if plain is not fit else []))
+        for name, q in one.quantities.items()
+        if q.value.ndim == 0 and name != "PAR_0"
     ]
     for y, (label, value, (low, high), known) in enumerate(reversed(rows)):
         colour = "tab:blue" if known else "0.6"

@@ -39,7 +39,21 @@ def fit_profile_command(
     layers: Annotated[
         str, typer.Option(help="Layers of constant Kd: a number, or auto to let the data choose.")
     ] = "1",
-    kd_only: Annotated[bool, typer.Option(help="Skip the fit of constituents.")] = False,
+    kd_only: Annotated[
+        bool | None,
+        typer.Option(
+            "--kd-only/--constituents",
+            help="Fit Kd alone, or constituents too.  [default: constituents of one cast, Kd alone "
+            "of many]",
+            show_default=False,
+        ),
+    ] = None,
+    merge: Annotated[
+        bool, typer.Option(help="All casts given are of one station: fit them as one.")
+    ] = False,
+    table: Annotated[
+        Path | None, typer.Option(help="Also write the spectra as TABLE.csv or TABLE.sb (SeaBASS).")
+    ] = None,
     transport: Annotated[
         str | None,
         typer.Option(
@@ -58,8 +72,11 @@ def fit_profile_command(
         str | None, typer.Option(help="The file's columns by ours: depth=z,Ed_490=irr.")
     ] = None,
     depth_offset: Annotated[
-        float, typer.Option(help="Metres from pressure sensor down to light sensor.")
+        float, typer.Option(help="Metres from pressure sensor down to the sensor of Ed.")
     ] = 0.0,
+    upward_offset: Annotated[
+        float | None, typer.Option(help="The same to the sensors of Eu and Lu, if it differs.")
+    ] = None,
     tilt_limit: Annotated[
         float | None, typer.Option(help="Leave out samples tilted further, degrees.")
     ] = None,
@@ -69,12 +86,15 @@ def fit_profile_command(
 ) -> None:
     """Fit Kd of every band and the constituents of the water to depth profiles of Ed.
 
-    Of many files, or a file of many casts, Kd alone is fitted; -o names the folder of results.
+    Eu, Lu and PAR are fitted where a file has them.  Of many files, or a file of many casts, -o
+    names the folder of results.
     """
     from fitting.casts import Reading, profile_of, raw_casts
 
-    units = {} if unit is None else {kind: unit for kind in ("Ed", "Eu", "Lu")}  # noqa: C420
-    reading = Reading(solar_zenith, units, _columns(columns), depth_offset, tilt_limit)
+    units = {} if unit is None else {kind: unit for kind in ("Ed", "Eu", "Lu", "surface")}  # noqa: C420
+    reading = Reading(
+        solar_zenith, units, _columns(columns), depth_offset, upward_offset, tilt_limit
+    )
     if transport is not None and tolerance is not None:
         raise ValueError("--tolerance chooses the transport: leave out it or --transport.")
     count, priors = _layers(layers), _known(know or [])
@@ -82,18 +102,33 @@ def fit_profile_command(
     depth_range = None
     if low is not None or high is not None:
         depth_range = (low or 0.0, 1e5 if high is None else high)
-    if len(paths) == 1 and cluster is None:
-        casts = raw_casts(paths[0], reading)
-        if len(casts) == 1:
-            profile = profile_of(casts[0], reading)
-            _fit_one(profile, paths[0], output, depth_range, count, kd_only, model, priors)
+    if merge or (len(paths) == 1 and cluster is None):
+        casts = [cast for path in paths for cast in raw_casts(path, reading)]
+        if merge or len(casts) == 1:
+            profiles = [profile_of(cast, reading) for cast in casts]
+            profile = profiles[0]
+            if len(profiles) > 1:
+                from fitting.stations import merged
+
+                profile = merged(profiles)
+            plain = bool(kd_only)
+            stem = output or Path(paths[0].stem)
+            _fit_one(profile, stem, depth_range, count, plain, model, priors, table)
             return
+    if table is not None:
+        raise ValueError("--table is for one cast; archives are written as netCDF.")
     from fitting.archive import Task
 
-    _fit_many(paths, Task(output or Path("kd"), reading, depth_range, count), cluster)
+    if tolerance is not None and kd_only is False:
+        raise ValueError("--tolerance is for one cast; name a --transport for archives.")
+    water = model["transport"] if kd_only is False else None
+    if priors and water is None:
+        raise ValueError("--know applies to constituents: add --constituents.")
+    task = Task(output or Path("kd"), reading, depth_range, count, water, priors or None)
+    _fit_many(paths, task, cluster)
 
 
-def _fit_one(profile, path, output, depth_range, layers, kd_only, model, priors) -> None:
+def _fit_one(profile, stem, depth_range, layers, kd_only, model, priors, table) -> None:
     from fitting import fit_profile
     from fitting.report import picture, save
 
@@ -109,8 +144,12 @@ def _fit_one(profile, path, output, depth_range, layers, kd_only, model, priors)
     _print_kd(fit)
     if constituents is not None:
         print_water(constituents)
+    if table is not None:
+        from fitting.spectra_file import write_spectra
+
+        write_spectra(table, fit, constituents)
     finish(
-        output or Path(path.stem),
+        stem,
         lambda p: save(p, fit, constituents),
         lambda p: picture(fit, p, constituents),
     )
@@ -217,9 +256,34 @@ def _print_kd(fit: "Fit") -> None:
     Console().print(table)
     if fit.metadata["interfaces_m"]:
         _print_layers(fit)
+    _print_surface(fit)
     for reason, number in fit.metadata["left_out"].items():
         print(f"{reason}: {number}")
     print(f"search: {fit.result}")
+
+
+def _print_surface(fit: "Fit") -> None:
+    """Upward light and PAR, where there is any."""
+    from rich.console import Console
+    from rich.table import Table
+
+    named = [name for name in ("Ku", "KLu", "R", "Rrs", "nLw") if name in fit.quantities]
+    if named:
+        table = Table(title="Upward light, with 95 % intervals", title_justify="left")
+        table.add_column("nm", justify="right")
+        for name in named:
+            table.add_column(f"{name} ({fit.quantities[name].unit})", justify="right")
+        ends = {name: fit.quantities[name].interval() for name in named}
+        for i, wavelength in enumerate(fit.wavelength):
+            spans = [f"{low[i]:.3g} - {high[i]:.3g}" for low, high in ends.values()]
+            table.add_row(f"{wavelength:g}", *("" if "nan" in s else s for s in spans))
+        Console().print(table)
+    for name in ("PAR_0", "Z_10", "Z_eu"):
+        if name in fit.quantities:
+            quantity = fit.quantities[name]
+            low, high = quantity.interval()
+            value = f"{float(quantity.value):.3g} {quantity.unit} ({low:.3g} - {high:.3g})"
+            print(f"{name}: {value}, {quantity.long_name}")
 
 
 def _print_layers(fit: "Fit") -> None:

@@ -1,17 +1,35 @@
-"""Kd of 1,000 casts of 7 bands and 100 depths: one call against a loop of scipy's curve_fit.
+"""1,000 casts of 7 bands and 100 depths: one call against a loop of scipy's curve_fit.
 
-    python -m tests.benchmarks.bench_profiles
+    python -m tests.benchmarks.bench_profiles [kd | waters | memory COUNT | cluster]
 
 Processor time of both, in the same run, errors given; the first call, which compiles, apart.
+
+- `kd`: two unknowns a band.
+- `waters`: constituents and nuisances, 13 unknowns and 7 free Ed(0-), 128 casts, the loop over 4 of
+  them.  curve_fit gets the same unknowns, priors (as further data) and model, compiled by JAX for
+  all depths and bands, and differences it itself, as users have it.
+- `memory`: peak resident memory of so many casts, Kd alone, that come one by one.
+- `cluster`: processor time per cast, files read and written, in this process and by one dask
+  worker, client included; from archives of 128 and 384 files, so that what starts once drops out.
 """
 
+import resource
+import sys
+import tempfile
 import time
+from pathlib import Path
+from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from scipy.optimize import curve_fit
 
-from fitting import Profile, fit_profiles
+import oceaninv as oi
+from fitting import Profile, fit_profiles, stream_profiles
+from fitting._waters import curve
+from fitting.archive import Task, fit_archive
+from fitting.parameters import Parameters, water_unknowns
 
 CASTS, BANDS, DEPTHS = 1000, 7, 100
 LOOP = 100
@@ -33,11 +51,142 @@ def _model(depth, surface, kd):
     return surface * np.exp(-kd * depth)
 
 
+def water_casts(count: int) -> list[Profile]:
+    """Casts of random waters by the default model down to some 10 % of the clearest band."""
+    rng, made = np.random.default_rng(1), []
+    grid = tuple(np.linspace(412.0, 665.0, BANDS).tolist())
+    layout = Parameters(water_unknowns(40.0))
+    model = jax.jit(lambda x, z: curve(layout.values(x), grid, oi.TwoStream(), z)[0])
+    for _ in range(count):
+        x = np.array([p.transform.coordinate(p.centre) for p in layout])
+        x[:3] += rng.normal(0.0, 0.7, 3)
+        depth = np.linspace(0.0, 15.0, DEPTHS)
+        clean = np.exp(np.asarray(model(jnp.asarray(x), jnp.asarray(depth))))
+        seen = clean * (1 + 0.05 * rng.standard_normal(clean.shape))
+        made.append(Profile(depth, grid, seen, sigma=0.05 * clean, solar_zenith=40.0))
+    return made
+
+
+def waters(count: int = 128, loop: int = 4):
+    """Print the comparison of the full model."""
+    many, transport = water_casts(count), oi.TwoStream()
+    grid = tuple(many[0].wavelength.tolist())
+    times, fits = [], fit_profiles(many[:1])
+    for _ in range(3):
+        start = time.process_time()
+        fits = fit_profiles(many, transport=transport, depth_range=(0.0, 1e4))
+        times.append(time.process_time() - start)
+    layout = Parameters(water_unknowns(40.0))
+    prior = layout.prior()
+    centre, weight = np.asarray(prior.centre), np.asarray(prior.weight)
+
+    @jax.jit
+    def model(x, surface, depth, sd):
+        light = surface[None, :] + curve(layout.values(x), grid, transport, depth)[0]
+        return jnp.concatenate([(jnp.exp(light) / sd).reshape(-1), prior.residual(x)])
+
+    spent, apart = 0.0, []
+    for i, cast in enumerate(many[:loop]):
+        depth, sd = jnp.asarray(cast.depth), jnp.asarray(cast.sigma)
+
+        def function(_, *unknown, depth=depth, sd=sd):
+            x = jnp.asarray(unknown)
+            return np.asarray(model(x[: len(centre)], x[len(centre) :], depth, sd))
+
+        data = np.concatenate([(cast.Ed / cast.sigma).reshape(-1), np.zeros(len(centre))])
+        first = np.concatenate([centre, np.log(cast.Ed[0])])
+        function(None, *first)
+        start = time.process_time()
+        found, _ = curve_fit(function, None, data, p0=first, maxfev=100_000)
+        spent += time.process_time() - start
+        ours = fits.water(i)
+        free = weight > 0
+        away = (found[: len(centre)] - ours.x) / np.sqrt(np.diag(ours.covariance))
+        apart.append(np.abs(away[free]).max())
+    mine, theirs = min(times[1:]) / count, spent / loop
+    print(f"constituents: {1e3 * mine:.1f} ms a cast (first call {times[0]:.1f} s); curve_fit: ")
+    print(f"{1e3 * theirs:.0f} ms; ratio {theirs / mine:.0f}; {max(apart):.1e} sd apart at most")
+
+
+def memory(count: int):
+    """Print the peak of `count` casts."""
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    rng, depth = np.random.default_rng(0), np.linspace(0.2, 20.0, DEPTHS)
+
+    def stream():
+        for kd in np.exp(rng.uniform(np.log(0.04), np.log(0.4), (count, BANDS))):
+            seen = np.exp(-kd * depth[:, None])
+            seen *= 1 + 0.05 * rng.standard_normal(seen.shape)
+            yield Profile(depth, 400.0 + 10.0 * np.arange(BANDS), seen)
+
+    start, done = time.process_time(), 0
+    for table in stream_profiles(stream()):
+        done += int(table.sizes["cast"])
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    print(f"{done} casts: peak {peak / 2**20:.2f} GiB (before {before / 2**20:.2f}), ", end="")
+    print(f"{1e3 * (time.process_time() - start) / count:.2f} ms a cast")
+
+
+def cluster():
+    """Print what dask costs."""
+    from distributed import LocalCluster
+
+    def spent():
+        kinds = (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)
+        usages = [resource.getrusage(kind) for kind in kinds]
+        return sum(usage.ru_utime + usage.ru_stime for usage in usages)
+
+    rng, times, sizes = np.random.default_rng(0), {}, (128, 384)
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        files = []
+        for i in range(sizes[-1]):
+            depth = np.linspace(0.2, 20.0, DEPTHS)
+            seen = np.exp(-np.linspace(0.05, 0.4, BANDS) * depth[:, None])
+            seen *= 1 + 0.05 * rng.standard_normal(seen.shape)
+            head = ",".join(["depth_m", *(f"Ed_{400 + 10 * k}" for k in range(BANDS))])
+            lines = [
+                ",".join(f"{v:.6g}" for v in (z, *r)) for z, r in zip(depth, seen, strict=True)
+            ]
+            files.append(folder / f"{i}.csv")
+            files[-1].write_text("\n".join(["# W m-2 nm-1", head, *lines]))
+        for size in sizes:
+            for kind in ("alone", "dask"):
+                task, start = Task(folder / f"{kind}{size}"), spent()
+                if kind == "alone":
+                    done = list(fit_archive(files[:size], task))
+                else:
+                    options = {"threads_per_worker": 1, "dashboard_address": None}
+                    made: Any = LocalCluster(1, **options)
+                    with made as local:
+                        done = list(fit_archive(files[:size], task, local.scheduler_address))
+                times[kind, size] = spent() - start
+                assert sum(outcome.casts for outcome in done) == size
+    for kind in ("alone", "dask"):
+        each = (times[kind, sizes[1]] - times[kind, sizes[0]]) / (sizes[1] - sizes[0])
+        print(
+            f"{kind}: {1e3 * each:.1f} ms a cast, {times[kind, sizes[0]]:.1f} s for the first 128"
+        )
+
+
 def main():
-    """Print the table."""
+    """Print what was asked for."""
     jax.config.update("jax_enable_x64", True)
+    asked = sys.argv[1:] or ["kd"]
+    if asked[0] == "waters":
+        waters()
+    elif asked[0] == "memory":
+        memory(int(asked[1]))
+    elif asked[0] == "cluster":
+        cluster()
+    else:
+        plain()
+
+
+def plain():
+    """Print the comparison of Kd."""
     many = casts()
-    times = []
+    times, fits = [], fit_profiles(many[:1])
     for _ in range(4):
         start = time.process_time()
         fits = fit_profiles(many, depth_range=(0.0, 1e4))
@@ -51,7 +200,7 @@ def main():
                 cast.depth,
                 cast.Ed[:, band],
                 p0=(cast.Ed[0, band], 0.1),
-                sigma=cast.sigma[:, band],
+                sigma=np.asarray(cast.sigma)[:, band],
                 absolute_sigma=True,
             )
             worst = max(worst, abs(kd / ours[band] - 1))

@@ -1,0 +1,154 @@
+"""Constituents from what casts say, many at a time: from samples, or from Kd and R themselves."""
+
+import dataclasses
+from collections.abc import Mapping
+
+import numpy as np
+
+from fitting._bands import BandFit
+from fitting._upward import Cast, reflected, spectra_of
+from fitting._waters import Spectra, Water, nodes_and_basis, solve_waters
+from fitting.parameters import Parameter, Parameters, water_unknowns
+from fitting.posterior import Fit, Predictive, Quantity
+from fitting.quantities import quantities_of
+from fitting.solve import sentence
+from oceaninv.tables import check_wavelength
+from oceaninv.transport.base import AbstractTransport
+
+
+@dataclasses.dataclass(frozen=True)
+class WaterFit:
+    """A search for constituents: its unknowns, what it saw and where it ended."""
+
+    parameters: Parameters
+    spectra: Spectra
+    water: Water
+    transport: str
+
+
+def fit_waters(
+    casts: Mapping[int, Cast],
+    fits: Mapping[int, Mapping[str, BandFit]],
+    transport: AbstractTransport,
+    priors: dict[str, Parameter] | None = None,
+) -> dict[int, WaterFit]:
+    """Constituents of casts by index, those of one shape together."""
+    groups: dict[tuple, list[int]] = {}
+    spectra, unknowns = {}, {}
+    for i, cast in casts.items():
+        profile = cast.job.profile
+        spectra[i] = spectra_of(cast, fits[i], transport)
+        unknowns[i] = Parameters(water_unknowns(profile.solar_zenith)).replace(priors or {})
+        shape = (tuple(profile.wavelength.tolist()), spectra[i].light.shape[0])
+        groups.setdefault(shape, []).append(i)
+    found = {}
+    for (grid, _), members in groups.items():
+        part = [spectra[i] for i in members]
+        waters = solve_waters([unknowns[i] for i in members], grid, transport, part)
+        for i, water in zip(members, waters, strict=True):
+            found[i] = WaterFit(unknowns[i], spectra[i], water, type(transport).__name__)
+    return found
+
+
+def _fit(found: WaterFit, wavelength, predictive: Predictive, metadata: dict) -> Fit:
+    water = found.water
+    cov = np.asarray(water.covariance)
+    quantities, leaning = quantities_of(water.values, water.slopes, found.parameters, cov)
+    return Fit(
+        found.parameters,
+        np.asarray(water.x),
+        cov,
+        quantities,
+        wavelength,
+        sentence(water.code),
+        predictive,
+        metadata | {"transport": found.transport},
+        sensitivity=leaning,
+    )
+
+
+def water_fit(cast: Cast, bands: BandFit, found: WaterFit) -> Fit:
+    """The fit of a cast's constituents as a `Fit`; observations are light less darkness, over
+    the changes of the light above."""
+    profile, n = cast.job.profile, cast.job.rows
+    seen = found.spectra
+    predictive = Predictive(
+        np.where(seen.used, seen.light, np.nan)[:n],
+        np.where(seen.used, found.water.model, np.nan)[:n],
+        np.asarray(seen.sd)[:n],
+        ("depth", "wavelength"),
+        "W m-2 nm-1",
+        {"depth": profile.depth[:n]},
+    )
+    metadata = {
+        "source": profile.source,
+        "kd_definition": cast.definition,
+        "depths_used": [int(count) for count in np.asarray(seen.used).sum(axis=0)],
+        "relative_noise": "given" if profile.sigma is not None else bands.noise.tolist(),
+        "reflectance_used_nm": profile.wavelength[np.asarray(seen.weight) > 0].tolist(),
+    }
+    return _fit(found, profile.wavelength, predictive, metadata)
+
+
+def fit_apparent(
+    wavelength,
+    Kd,
+    R=None,
+    *,
+    transport: AbstractTransport,
+    Kd_sd: float = 0.05,
+    R_sd: float = 0.05,
+    solar_zenith=None,
+    priors: dict[str, Parameter] | None = None,
+) -> list[Fit]:
+    """Constituents of waters whose Kd, and perhaps R = Eu/Ed at 0-, were measured.
+
+    **Arguments:**
+
+    - `wavelength`: (wl,) nm.
+    - `Kd`, `R`: (station, wl) 1/m, as the mean from the surface to the depth 1/Kd, and 1; NaN
+      where absent.
+    - `Kd_sd`, `R_sd`: their relative standard deviations; what the transport gets wrong in R
+      comes in addition.
+    - `solar_zenith`: (station,) degrees in air, NaN or None where unknown.
+    - `transport`, `priors`: as for `fit_profile`.
+
+    **Returns** a `Fit` per station, as `fit_profile` with a transport.
+
+    Raises ValueError where shapes differ or a station holds no positive Kd.
+    """
+    wavelength, Kd = check_wavelength(wavelength), np.asarray(Kd, dtype=np.float64)
+    if Kd.ndim != 2 or Kd.shape[1] != len(wavelength):
+        raise ValueError(f"Kd must have shape (station, {len(wavelength)}), not {Kd.shape}.")
+    ratio = np.full_like(Kd, np.nan) if R is None else np.asarray(R, dtype=np.float64)
+    if ratio.shape != Kd.shape:
+        raise ValueError(f"R must have the shape of Kd, {Kd.shape}, not {ratio.shape}.")
+    if not np.all((Kd > 0).any(axis=1)):
+        raise ValueError(f"station {int(np.argmin((Kd > 0).any(axis=1)))} holds no positive Kd.")
+    suns = np.full(len(Kd), np.nan) if solar_zenith is None else np.asarray(solar_zenith, float)
+    grid, found = tuple(wavelength.tolist()), []
+    suns = [None if np.isnan(sun) else float(sun) for sun in suns]
+    unknowns = [Parameters(water_unknowns(sun)).replace(priors or {}) for sun in suns]
+    spectra = [_spectra(kd, r, Kd_sd, R_sd, transport) for kd, r in zip(Kd, ratio, strict=True)]
+    waters = solve_waters(unknowns, grid, transport, spectra)
+    for i, water in enumerate(waters):
+        one = WaterFit(unknowns[i], spectra[i], water, type(transport).__name__)
+        depth, model = 1.0 / np.where(Kd[i] > 0, Kd[i], np.nan), np.asarray(water.model)
+        predicted = np.log(model[0] / np.diagonal(model[1:])) / depth
+        seen = np.where(Kd[i] > 0, Kd[i], np.nan)
+        predictive = Predictive(seen, predicted, Kd_sd * seen, ("wavelength",), "m-1")
+        found.append(_fit(one, wavelength, predictive, {"source": f"station {i}"}))
+    return found
+
+
+def _spectra(kd, ratio, kd_sd: float, r_sd: float, transport) -> Spectra:
+    """Two samples a band: at the surface and at 1/Kd, the error of ln of their ratio that of Kd."""
+    good = kd > 0
+    depth = np.concatenate([[0.0], np.where(good, 1.0 / np.where(good, kd, 1.0), 0.0)])
+    used = np.concatenate([good[None], np.diag(good)])
+    light = np.where(used, np.where(np.arange(len(depth))[:, None] > 0, np.exp(-1.0), 1.0), 1.0)
+    nodes, basis = nodes_and_basis(depth, float(depth.max()))
+    error = Quantity(ratio, np.full_like(ratio, r_sd), "1", "R")
+    ln_r, weight = reflected(error, len(kd), transport)
+    sd = light * kd_sd / np.sqrt(2.0)
+    return Spectra(nodes, basis, light, sd, used, light, ln_r, weight)

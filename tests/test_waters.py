@@ -1,0 +1,154 @@
+"""Constituents of many casts at once: the reduction of a cast, and the same answers as alone."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import oceaninv as oi
+from fitting import Profile, fit_apparent, fit_profile, fit_profiles, stream_profiles
+from fitting._lanes import fit_lanes
+from fitting._upward import cast_of, spectra_of
+from fitting._waters import _rows, curve, nodes_and_basis
+from fitting.parameters import Parameter, Parameters, water_unknowns
+
+BANDS = np.array([412.0, 490.0, 555.0, 665.0])
+TRUTH = {"chlorophyll": 1.2, "cdom": 0.12, "detritus": 0.05}
+
+
+def light(bands=BANDS, depth=None):
+    """Ed and Eu of a known water."""
+    depth = np.linspace(0.3, 12.0, 30) if depth is None else depth
+    water = oi.BioOpticalModel().iops(oi.Constituents(**TRUTH), bands)
+    scene = oi.Scene(water, oi.Light(35.0, jnp.ones(len(bands))), oi.FlatSurface())
+    field = oi.irradiance(scene, depth)
+    return depth, np.asarray(field.Ed.value), np.asarray(field.Eu.value)
+
+
+def cast(seed=0, bands=BANDS, up=False):
+    depth, Ed, Eu = light(bands)
+    rng = np.random.default_rng(seed)
+    seen = [c * (1 + 0.03 * rng.standard_normal(c.shape)) for c in (Ed, Eu)]
+    return Profile(
+        depth,
+        bands,
+        seen[0],
+        sigma=0.03 * Ed,
+        solar_zenith=35.0,
+        Eu=seen[1] if up else None,
+        source=f"cast {seed}",
+    )
+
+
+def test_a_few_depths_hold_the_curve():
+    layout = Parameters(water_unknowns(35.0))
+    x = jnp.asarray([p.transform.coordinate(p.centre) for p in layout])
+    depth = np.linspace(0.1, 40.0, 57)
+    nodes, basis = nodes_and_basis(depth, 40.0)
+    assert nodes[0] == 0.0
+    np.testing.assert_allclose(basis.sum(axis=1), 1.0, rtol=1e-12)
+    grid = tuple(BANDS.tolist())
+    at_nodes, _ = curve(layout.values(x), grid, oi.TwoStream(), jnp.asarray(nodes))
+    # Depth 0 is where the curve is 0.
+    exact, _ = curve(
+        layout.values(x), grid, oi.TwoStream(), jnp.concatenate([jnp.zeros(1), jnp.asarray(depth)])
+    )
+    # Measured: 2e-5, at ln Ed down to -20.
+    np.testing.assert_allclose(basis @ np.asarray(at_nodes), exact[1:], atol=1e-3)
+    hit = nodes_and_basis(nodes, 40.0)[1]
+    np.testing.assert_allclose(hit, np.eye(len(nodes)), atol=1e-9)
+
+
+def test_the_triangles_hold_all_that_samples_say():
+    made = cast_of(cast(), None, 1)
+    data = spectra_of(made, {"Ed": fit_lanes([made.job])[0]}, oi.TwoStream())
+    rows = np.asarray(_rows(jax.device_put(data), jnp.asarray(data.start)))
+    rng = np.random.default_rng(0)
+    shift = rng.standard_normal(8)
+    for band in range(len(BANDS)):
+        weight = np.where(data.used, data.start / data.sd, 0.0)[:, band]
+        target = np.log(data.start) + (data.light - data.start) / data.start
+        unknown = np.concatenate([[0.3], shift, [-1.0]])
+        design = np.concatenate(
+            [np.ones((len(weight), 1)), data.basis, target[:, band : band + 1]], axis=1
+        )
+        left = weight * (design @ unknown)
+        assert np.sum((rows[band] @ unknown) ** 2) == pytest.approx(np.sum(left**2), rel=1e-9)
+
+
+def test_bad_spectra_are_sentences():
+    good = np.full((2, 4), 0.1)
+    cases: tuple[tuple[dict, str], ...] = (
+        ({"Kd": good[:, :3]}, r"Kd must have shape \(station, 4\)"),
+        ({"R": good[:1]}, "R must have the shape of Kd"),
+        ({"Kd": np.where(np.arange(2)[:, None] == 1, np.nan, good)}, "station 1 holds no positive"),
+    )
+    for change, words in cases:
+        with pytest.raises(ValueError, match=words):
+            fit_apparent(BANDS, change.get("Kd", good), change.get("R"), transport=oi.TwoStream())
+    with pytest.raises(ValueError, match="priors apply to a fit through a transport"):
+        fit_profiles([cast()], priors={"cdom": Parameter("cdom", 0.1, 0.1)})
+    with pytest.raises(ValueError, match="give fit_profiles a transport"):
+        fit_profiles([cast()]).water(0)
+
+
+def test_streams_are_the_same_as_one_call():
+    many = [cast(seed) for seed in range(5)]
+    whole = fit_profiles(many).to_xarray()
+    parts = list(stream_profiles(iter(many), group=2))
+    assert [part.sizes["cast"] for part in parts] == [2, 2, 1]
+    together = np.concatenate([part.Kd for part in parts])
+    np.testing.assert_allclose(together, whole.Kd, rtol=1e-12)
+
+
+@pytest.mark.slow
+def test_a_water_is_the_same_alone_and_in_a_batch():
+    bands = oi.spectrum.bands(8)
+    many = [cast(seed, bands) for seed in range(3)]
+    fits = fit_profiles(many, transport=oi.TwoStream())
+    alone = fit_profile(many[0], transport=oi.TwoStream())
+    water = fits.water(0)
+    count = len(water.parameters)
+    assert water.parameters.names == alone.parameters.names[:count]
+    sd = np.sqrt(np.diag(alone.covariance))[:count]
+    # Measured: 3e-4 of a standard deviation; of the deviations themselves 1e-4.
+    np.testing.assert_allclose((water.x - alone.x[:count]) / sd, 0.0, atol=2e-3)
+    np.testing.assert_allclose(np.sqrt(np.diag(water.covariance)), sd, rtol=1e-3)
+    np.testing.assert_allclose(
+        water.quantities["c_550"].value, alone.quantities["c_550"].value, rtol=1e-3
+    )
+    data = fits.to_xarray()
+    np.testing.assert_allclose(data.chlorophyll[0], water.value["chlorophyll"])
+    np.testing.assert_allclose(data.chlorophyll_high[0], water.interval("chlorophyll")[1])
+    order = fit_profiles(many[::-1], transport=oi.TwoStream())
+    np.testing.assert_allclose(order.water(2).x, water.x, atol=1e-9)
+
+
+@pytest.mark.slow
+def test_reflectance_fixes_backscatter():
+    plain = fit_profiles([cast()], transport=oi.TwoStream()).water(0)
+    both = fit_profiles([cast(up=True)], transport=oi.TwoStream()).water(0)
+    assert both.metadata["reflectance_used_nm"] == BANDS.tolist()
+    assert both.quantities["bb_550"].sd < 0.6 * plain.quantities["bb_550"].sd
+    low, high = both.quantities["bb_550"].interval()
+    water = oi.BioOpticalModel().iops(oi.Constituents(**TRUTH), np.array([500.0, 550.0]))
+    assert low < float(water.bb[1]) < high
+
+
+@pytest.mark.slow
+def test_kd_and_r_return_their_water():
+    depth, Ed, Eu = light(depth=np.linspace(0.0, 20.0, 2001))
+    at = np.argmax(Ed / Ed[0] < np.exp(-1.0), axis=0)
+    kd = np.array([np.log(Ed[0, i] / Ed[k, i]) / depth[k] for i, k in enumerate(at)])
+    kd = np.stack([kd, np.where(BANDS == 555.0, np.nan, kd)])
+    ratio = np.tile(Eu[0] / Ed[0], (2, 1))
+    fits = fit_apparent(BANDS, kd, ratio, transport=oi.TwoStream(), solar_zenith=[35.0, np.nan])
+    for fit in fits:
+        assert fit.converged
+        for name, value in TRUTH.items():
+            low, high = fit.interval(name)
+            assert low < value < high, name
+        seen = fit.posterior_predictive
+        np.testing.assert_allclose(
+            np.where(np.isfinite(seen.observed), seen.predicted, np.nan), seen.observed, rtol=0.05
+        )
