@@ -35,7 +35,7 @@ _LONGEST = 1 / 5  # of the range: longer waves cannot be told from the water
 _RISES = ((0.0, 1.0), (2.0, 0.1), (4.0, 0.05))
 _MOST_CORRELATED = 0.98
 # Prior odds of correlated against independent noise (no preference), and of rising against even.
-_ODDS_CORRELATED, _ODDS_RISING = 1.0, 0.4
+_ODDS_CORRELATED, _ODDS_RISING = 1.0, 0.2
 
 
 class Lanes(eqx.Module):

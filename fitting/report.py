@@ -148,7 +148,7 @@ def picture(fit: Fit, path: str | Path, constituents: Fit | None = None) -> None
     figure = Figure(figsize=(16.0 if reflectance else 12.5, 4.6))
     FigureCanvasAgg(figure)
     # Fixed margins: a computed layout would draw everything twice.
-    margins = {"left": 0.06, "right": 0.985, "bottom": 0.12, "top": 0.87, "wspace": 0.2}
+    margins = {"left": 0.06, "right": 0.985, "bottom": 0.12, "top": 0.87, "wspace": 0.25}
     widths = (1.15, 1, *([1] if reflectance else []), 1)
     places = figure.subplots(1, len(widths), width_ratios=widths, gridspec_kw=margins)
     data, spectra, unknowns = places[0], places[1], places[-1]
@@ -181,7 +181,9 @@ def _draw_profile(axes, fit: Fit) -> None:
         axes.plot(predicted[kept], depth[kept], "-", lw=1.4, color=colour, label=label)
     axes.set(xscale="log", xlabel="Ed (W m⁻² nm⁻¹)", ylabel="depth (m)")
     axes.set_ylim(depth[used].max() * 1.03, 0)
-    axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    light = predictive.observed[predictive.observed > 0]
+    wide = light.max() > 300.0 * light.min()
+    axes.xaxis.set_major_locator(LogLocator(subs=(1.0,) if wide else (1.0, 2.0, 5.0)))
     axes.xaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
     axes.xaxis.set_minor_formatter(NullFormatter())
     axes.set_title("measured (dots) and fitted (lines)", fontsize=10)
@@ -219,7 +221,13 @@ def _draw_spectra(axes, fit: Fit, constituents: Fit | None) -> None:
     for label, source, name, colour in shown:
         _draw_spectrum(axes, source.wavelength, source.quantities[name], label, colour, source.dof)
     axes.set(xlabel="wavelength (nm)", ylabel="coefficient (m⁻¹)")
-    axes.set_ylim(0, None)
+    # Bands that are hardly known would hide the others.
+    known = [
+        np.nanmax(np.where(q.sd < 0.5, q.value * np.exp(2.0 * q.sd), np.nan))
+        for _, source, name, _ in shown
+        if np.any((q := source.quantities[name]).sd < 0.5)
+    ]
+    axes.set_ylim(0, 1.15 * max(known) if known else None)
     axes.set_title("attenuation with 95 % intervals", fontsize=10)
     axes.legend(frameon=False, fontsize=9)
 
@@ -246,8 +254,10 @@ def _draw_reflectance(axes, fit: Fit) -> None:
 
 
 def _draw_unknowns(axes, fit: Fit, plain: Fit) -> None:
-    from matplotlib.ticker import NullFormatter, StrMethodFormatter
+    from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 
+    # Many bands stand among the spectra already.
+    many = len(fit.wavelength) > 8 and any(q.value.ndim == 0 for q in fit.quantities.values())
     rows = [
         (
             f"{p.name} ({p.unit})",
@@ -256,7 +266,7 @@ def _draw_unknowns(axes, fit: Fit, plain: Fit) -> None:
             fit.identifiable[p.name],
         )
         for p in fit.parameters
-        if not p.nuisance
+        if not p.nuisance and not (many and p.name.startswith("Kd_"))
     ]
     rows += [
         (f"{name} ({q.unit})", float(q.value), q.interval(LEVEL, one.dof), float(q.sd) <= 0.5)
@@ -272,6 +282,9 @@ def _draw_unknowns(axes, fit: Fit, plain: Fit) -> None:
         text = label if known else f"{label}\nnot identifiable"
         axes.text(0.02, y + 0.16, text, fontsize=8, transform=axes.get_yaxis_transform())
     axes.set(xscale="log", yticks=[], ylim=(-0.5, len(rows)), xlabel="value (95 % interval)")
+    ends = np.array([span for _, _, span, _ in rows])
+    if ends.size and np.nanmax(ends) < 30.0 * np.nanmin(ends):
+        axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
     # Plain numbers: setting powers of ten as mathematics takes longer than the whole drawing.
     axes.xaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
     axes.xaxis.set_minor_formatter(NullFormatter())

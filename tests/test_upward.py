@@ -75,12 +75,12 @@ def test_the_surface_reflects_as_fresnel_says():
 
 
 def test_intervals_of_reflectances_cover():
-    fits = fit_profiles([cast(0.05, seed) for seed in range(100)])
+    fits = fit_profiles([cast(0.05, seed) for seed in range(60)])
     data = fits.to_xarray()
     for name, truth in (("R", EU / ED), ("Rrs", LEAVING * LU / ES), ("KLu", KLU), ("Lu_0", LU)):
         inside = (data[f"{name}_low"] <= truth) & (truth <= data[f"{name}_high"])
-        # 300 lanes, the noise of each its own; a little too wide, as the waves might be correlated.
-        low = binom.ppf(0.005, 300, 0.95) / 300
+        # 180 lanes, the noise of each its own; a little too wide, as the waves might be correlated.
+        low = binom.ppf(0.005, 180, 0.95) / 180
         assert low <= float(inside.mean()) < 0.99, name
     one = fits[3]
     np.testing.assert_allclose(data.Rrs[3], one.quantities["Rrs"].value)

@@ -121,7 +121,7 @@ def fit_profile_command(
 
     if tolerance is not None and kd_only is False:
         raise ValueError("--tolerance is for one cast; name a --transport for archives.")
-    water = model["transport"] if kd_only is False else None
+    water = _transport(transport) if kd_only is False else None
     if priors and water is None:
         raise ValueError("--know applies to constituents: add --constituents.")
     task = Task(output or Path("kd"), reading, depth_range, count, water, priors or None)
