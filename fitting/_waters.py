@@ -23,7 +23,7 @@ from fitting.solve import covariance, least_squares, value_and_jacobian
 from oceaninv.transport.base import AbstractTransport
 
 # Chebyshev's nodes in the square root of depth: denser near the surface, where K changes.
-NODES = 8
+NODES = 12
 # The sum of squares is expanded about the last model: the second round's is the answer's own.
 _ROUNDS = 2
 # Casts of one compiled call: few, because the slowest search of a call holds the others.

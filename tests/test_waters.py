@@ -53,8 +53,10 @@ def test_a_few_depths_hold_the_curve():
     exact, _ = curve(
         layout.values(x), grid, oi.TwoStream(), jnp.concatenate([jnp.zeros(1), jnp.asarray(depth)])
     )
-    # Measured: 2e-5, at ln Ed down to -20.
-    np.testing.assert_allclose(basis @ np.asarray(at_nodes), exact[1:], atol=1e-3)
+    # Measured: 1.3e-4 at 665 nm, where the curve goes down to -14; 2e-7 elsewhere.
+    found = basis @ np.asarray(at_nodes)
+    np.testing.assert_allclose(found, exact[1:], rtol=0.0, atol=2e-4)
+    np.testing.assert_allclose(found[:, :3], exact[1:, :3], rtol=0.0, atol=1e-6)
     hit = nodes_and_basis(nodes, 40.0)[1]
     np.testing.assert_allclose(hit, np.eye(len(nodes)), atol=1e-9)
 
@@ -64,7 +66,7 @@ def test_the_triangles_hold_all_that_samples_say():
     data = spectra_of(made, {"Ed": fit_lanes([made.job])[0]}, oi.TwoStream())
     rows = np.asarray(_rows(jax.device_put(data), jnp.asarray(data.start)))
     rng = np.random.default_rng(0)
-    shift = rng.standard_normal(8)
+    shift = rng.standard_normal(data.basis.shape[1])
     for band in range(len(BANDS)):
         weight = np.where(data.used, data.start / data.sd, 0.0)[:, band]
         target = np.log(data.start) + (data.light - data.start) / data.start

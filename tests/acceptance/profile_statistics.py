@@ -190,6 +190,10 @@ def main():
         ("given", statistics(True)),
         ("estimated, Student's t", statistics(False)),
         ("estimated, full sensor model", full_statistics()),
+        *(
+            (f"the same, fresh seed {seed}", full_statistics(seed=seed))
+            for seed in (501, 502, 503, 504)
+        ),
     )
     for label, s in runs:
         cover = " | ".join(
