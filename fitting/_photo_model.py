@@ -166,7 +166,9 @@ def light_up(values, readings: Readings, sunlight, photo: int) -> Lit:
     if response is None:
         scores = jnp.stack([values[f"response_{i}"] for i in (1, 2, 3)])
         response = oi.spectrum.generic_camera(scores)
-    weights = _shifted(response, values["response_shift"])
+    weights = response.weights(WAVELENGTH)
+    if "response_shift" in values:
+        weights = _shifted(response, values["response_shift"])
     gains = gains_of(values, readings, photo)
     output = jnp.diag(gains)
     if "mix_RG" in values:

@@ -92,13 +92,15 @@ def _unknowns(photos: Sequence[Photo], matrix: bool) -> Parameters:
         *shape_nuisances(),
         Parameter("solar_zenith", max(sun, 1.0), 0.1, Log(), "degree", True),
         Parameter("sunlight_tilt", 0.0, 0.05, Identity(), "1", True),
-        # What the closed form gets wrong in Kd.
-        Parameter("closure", 0.0, 0.02, Identity(), "1", True),
+        # What the closed form gets wrong in Kd to 10 % light: its error in Ed over 200 random
+        # waters, 10 % in the median and 37 % at the 95th percentile down to 1 % light, over 4.6.
+        Parameter("closure", 0.0, 0.035, Identity(), "1", True),
         # The error of the closed-form path radiance, per channel.
         *(Parameter(f"veil_{c}", 1.0, 0.06, nuisance=True) for c in "RGB"),
-        # Bodies of one model, filters and ports differ by a few nanometres.
-        Parameter("response_shift", 0.0, 2.0, Identity(), "nm", True),
     ]
+    shift = max(photo.response_shift for photo in photos)
+    if shift > 0:
+        unknowns.append(Parameter("response_shift", 0.0, shift, Identity(), "nm", True))
     if any(photo.response is None for photo in photos):
         unknowns += [
             Parameter(f"response_{i}", 0.0, 1.0, Identity(), nuisance=True) for i in (1, 2, 3)

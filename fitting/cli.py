@@ -6,7 +6,7 @@ from pathlib import Path
 
 import typer
 
-from fitting.commands import check, fidelity, photo, profile, render
+from fitting.commands import charts, check, fidelity, photo, profile, render
 
 INPUT_ERROR = 3
 
@@ -23,6 +23,7 @@ app.command("fit-photo")(photo.fit_photo_command)
 app.command("render")(render.render_command)
 app.command("plan")(fidelity.plan_command)
 app.command("trade")(fidelity.trade_command)
+app.command("read-charts")(charts.read_charts_command)
 app.command("check")(check.check_command)
 
 

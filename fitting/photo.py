@@ -22,9 +22,9 @@ from fitting._planned import Demand, fit_within, scene_at
 from fitting._programs import kept
 from fitting.parameters import Parameter
 from fitting.posterior import Fit, Predictive
-from fitting.quantities import UNITS, quantities_of
+from fitting.quantities import UNITS, nearest_jerlov, quantities_of
 from fitting.readings import Photo
-from fitting.solve import Optimum, covariance, sentence, value_and_jacobian
+from fitting.solve import Bend, Optimum, covariance, curvature, sentence, value_and_jacobian
 from oceaninv.transport.base import AbstractTransport
 
 __all__ = [
@@ -43,11 +43,17 @@ __all__ = [
 Known = Mapping[str, tuple[float, float]]
 
 
-def _solution(problem: PhotoProblem, start):
-    """Optimum, covariance, quantities and their slopes from one start."""
-    optimum = search(problem, start)
+def _derived(problem: PhotoProblem, optimum: Optimum):
+    """Optimum, covariance, quantities, their slopes, and what curvature does to all of them."""
     quantities, slopes = value_and_jacobian(problem.quantities, optimum.x)
-    return optimum, covariance(optimum.jacobian), quantities, slopes
+    cov = covariance(optimum.jacobian)
+
+    def curved(x):
+        return problem.residual(x), jax.tree.map(jnp.log, problem.quantities(x))
+
+    relative = jax.tree.map(lambda slope, q: slope / q[..., None], slopes, quantities)
+    bend = curvature(curved, optimum.x, cov, optimum.jacobian, relative)
+    return optimum, cov, quantities, slopes, bend
 
 
 @kept
@@ -62,13 +68,12 @@ def _solve(problem: PhotoProblem, starts: Float[Array, "start unknown"]):
         order = jnp.where(optima.code == 0, sums, sums + 1e30)
         best = jnp.argmin(jnp.where(jnp.isfinite(sums), order, jnp.inf))
         optimum = jax.tree.map(lambda leaf: leaf[best], optima)
-    quantities, slopes = value_and_jacobian(problem.quantities, optimum.x)
-    return optimum, covariance(optimum.jacobian), quantities, slopes
+    return _derived(problem, optimum)
 
 
 @kept
 def _solve_batch(problems: PhotoProblem):
-    return jax.vmap(lambda problem: _solution(problem, problem.prior.centre))(problems)
+    return jax.vmap(lambda p: _derived(p, search(p, p.prior.centre)))(problems)
 
 
 @kept
@@ -78,8 +83,9 @@ def _at(problem: PhotoProblem, x):
     return (
         Optimum(x, residual, jacobian, jnp.zeros((), jnp.int32)),
         covariance(jacobian),
-        (quantities),
+        quantities,
         slopes,
+        None,
     )
 
 
@@ -144,6 +150,12 @@ def fit_photo(
     **Returns** a `Fit`.  Exposure, white balance, the light on each chart, the shape of the
     water's optical properties and the error of the closed form are free nuisances with priors, so
     that the intervals of the quantities (Kd, c, bb, a_cdm) and constituents hold what is known.
+
+    Constituents are corrected for the curvature of the model: the mode of a curved model is off
+    by a share of its uncertainty even on average, which Box (1971) estimates to second order.
+    That bias, bounded by half a standard deviation, is taken off every parameter's value
+    (`Fit.bias`); quantities hardly have one and are those of the mode, as are `Fit.x`, the
+    predictions and the middles of intervals, which curvature widens (`Fit.bend`).
     """
     photos = [photos] if isinstance(photos, Photo) else list(photos)
     if not photos:
@@ -271,7 +283,16 @@ def _fitted(readings, residual: np.ndarray, robust) -> np.ndarray:
     return np.concatenate(parts)
 
 
-def _result(photos, parameters, problem: PhotoProblem, optimum, cov, values, slopes) -> Fit:
+def _bent(bend: Bend | None, cov: np.ndarray) -> tuple[np.ndarray | None, np.ndarray | None]:
+    """Bias and second-order spread, bounded: second order is not to be trusted further."""
+    if bend is None:
+        return None, None
+    sd = np.sqrt(np.diag(cov))
+    bias = np.clip(np.asarray(bend.bias), -0.5 * sd, 0.5 * sd)
+    return bias, np.minimum(np.asarray(bend.spread), sd)
+
+
+def _result(photos, parameters, problem: PhotoProblem, optimum, cov, values, slopes, bend) -> Fit:
     readings, cov = problem.readings, np.asarray(cov)
     observed = [np.where(np.asarray(r.mask), np.asarray(r.values), np.nan) for r in readings]
     predictive = Predictive(
@@ -281,7 +302,9 @@ def _result(photos, parameters, problem: PhotoProblem, optimum, cov, values, slo
         ("reading", "channel"),
         "1",
     )
-    quantities, sensitivity = quantities_of(values, slopes, parameters, cov)
+    quantities, sensitivity = quantities_of(values, slopes, parameters, cov, bend)
+    bias, spread = _bent(bend, cov)
+    jerlov, away = nearest_jerlov(WAVELENGTH, quantities["Kd"])
     count = int(sum(int(one.mask.sum()) for one in readings))
     return Fit(
         parameters,
@@ -295,10 +318,15 @@ def _result(photos, parameters, problem: PhotoProblem, optimum, cov, values, slo
             "source": "; ".join(photo.source for photo in photos),
             "transport": type(problem.transport).__name__,
             "kd_definition": "mean from the surface to the depth of 10 % light",
+            "nearest_jerlov_type": jerlov,
+            "nearest_jerlov_rms_ln_kd": away,
+            "values": "mode" if bend is None else "constituents corrected for curvature (Box 1971)",
             "masked_values": sum(photo.masked for photo in photos),
             "readings": count,
             "reduced_chi2": float(np.sum(np.asarray(optimum.residual) ** 2)) / max(count, 1),
         },
         sensitivity=sensitivity,
         problem=problem,
+        bias=bias,
+        bend=spread,
     )

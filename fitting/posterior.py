@@ -28,7 +28,8 @@ class Quantity:
 
     `sd` is of the natural logarithm (relative): optical coefficients are positive.  `samples`:
     (draw, ...) values of a sampled posterior, whose quantiles are then the intervals.  `dof`:
-    degrees of freedom of its own, of the shape of `value`, where it has such.
+    degrees of freedom of its own, of the shape of `value`, where it has such.  `bend`: spread of
+    the second-order error, which widens intervals (see `half_width`).
     """
 
     value: np.ndarray
@@ -37,12 +38,13 @@ class Quantity:
     long_name: str
     samples: np.ndarray | None = None
     dof: np.ndarray | None = None
+    bend: np.ndarray | float = 0.0
 
     def interval(self, level: float = 0.95, dof: float | Vector | None = None):
         """(low, high) that holds the truth with probability `level`."""
         if self.samples is not None:
             return tuple(np.quantile(self.samples, [0.5 - 0.5 * level, 0.5 + 0.5 * level], axis=0))
-        reach = quantile(level, dof if self.dof is None else self.dof) * self.sd
+        reach = half_width(level, self.sd, self.bend, dof if self.dof is None else self.dof)
         return self.value * np.exp(-reach), self.value * np.exp(reach)
 
 
@@ -52,6 +54,17 @@ def quantile(level: float, dof: float | np.ndarray | None = None) -> Any:
 
     tail = 0.5 + 0.5 * level
     return ndtri(tail) if dof is None else stdtrit(dof, tail)
+
+
+def half_width(level: float, sd: Any, bend: Any = 0.0, dof: Any = None):
+    """Half-width of a central interval of an error with a second-order part of spread `bend`.
+
+    z + c (z^2 - 1), of variance 1 + 2 c^2, has its quantiles c (z^2 - 1) away from those of z: none
+    at one standard deviation, c of bend/2^(1/2) times 2.84 at 95 %.  The sign of the displacement
+    is not known well enough to shift by, so it is added in squares.
+    """
+    z = quantile(level, dof)
+    return np.hypot(z * sd, (z * z - 1.0) * bend / np.sqrt(2.0))
 
 
 @dataclasses.dataclass(frozen=True)
@@ -87,6 +100,9 @@ class Fit:
     - `problem`: the posterior itself, for `fitting.sample`; None where a fit keeps none.
     - `samples`: (draw, unknown) coordinates drawn from the posterior, or None; intervals are
       then their quantiles.
+    - `bias`: (unknown,) what the curvature of the model makes the mode `x` err by on average;
+      taken off `value`.  `bend`: (unknown,) spread of that second-order error, which widens the
+      intervals (see `half_width`).  None for neither.
     """
 
     parameters: Parameters
@@ -101,13 +117,20 @@ class Fit:
     sensitivity: Mapping[str, Mapping[str, float]] = dataclasses.field(default_factory=dict)
     problem: Any = dataclasses.field(default=None, repr=False)
     samples: np.ndarray | None = dataclasses.field(default=None, repr=False)
+    bias: np.ndarray | None = dataclasses.field(default=None, repr=False)
+    bend: np.ndarray | None = dataclasses.field(default=None, repr=False)
+
+    @property
+    def centre(self) -> Vector:
+        """(unknown,) coordinates of the best values: the mode less its bias."""
+        return self.x if self.bias is None else self.x - self.bias
 
     @property
     def value(self) -> dict[str, float]:
         """Best value by name."""
         return {
             p.name: float(p.transform.physical(np.float64(x)))
-            for p, x in zip(self.parameters, self.x, strict=True)
+            for p, x in zip(self.parameters, self.centre, strict=True)
         }
 
     @property
@@ -135,7 +158,8 @@ class Fit:
             low, high = (float(transform.physical(end)) for end in ends)
             return low, high
         dof = self.dof[i] if isinstance(self.dof, np.ndarray) else self.dof
-        reach = quantile(level, dof) * np.sqrt(self.covariance[i, i])
+        bend = 0.0 if self.bend is None else self.bend[i]
+        reach = half_width(level, np.sqrt(self.covariance[i, i]), bend, dof)
         low, high = self.x[i] - reach, self.x[i] + reach
         return float(transform.physical(low)), float(transform.physical(high))
 

@@ -1,5 +1,6 @@
 """What a fitted water is like, in the numbers that people compare: Kd, c, bb, a_cdm."""
 
+import dataclasses
 from collections.abc import Mapping
 
 import jax.numpy as jnp
@@ -9,7 +10,7 @@ from jaxtyping import Array, Float
 from fitting.parameters import Parameters, water_iops
 from fitting.posterior import Quantity, derived_quantity
 from oceaninv import FlatSurface, IOPs, Light, Scene
-from oceaninv.attenuation import kd_lee2005
+from oceaninv.attenuation import kd_jerlov1976, kd_lee2005
 from oceaninv.transport.base import AbstractTransport
 
 UNITS = {
@@ -60,18 +61,39 @@ def water_quantities(
     }
 
 
+def nearest_jerlov(wavelength: np.ndarray, kd: Quantity) -> tuple[str, float]:
+    """The Jerlov type whose Kd (Jerlov 1976) is nearest, and how far it is.
+
+    Nearest in ln Kd over all bands, each weighed by its own variance and 10 % for what types
+    differ by among themselves; how far: the root mean square of that difference, unweighted.
+    """
+    weight = 1.0 / (kd.sd**2 + 0.1**2)
+    best = ("", np.inf, np.inf)
+    for name in ("I", "IA", "IB", "II", "III", "1C", "3C", "5C", "7C", "9C"):
+        off = np.log(kd.value / np.asarray(kd_jerlov1976(name, wavelength)))
+        misfit = float(np.sum(weight * off**2))
+        if misfit < best[1]:
+            best = (name, misfit, float(np.sqrt(np.mean(off**2))))
+    return best[0], best[2]
+
+
 def quantities_of(
-    values, slopes, parameters: Parameters, covariance: np.ndarray
+    values, slopes, parameters: Parameters, covariance: np.ndarray, bend=None
 ) -> tuple[dict[str, Quantity], dict[str, dict[str, float]]]:
     """Quantities with standard deviations, and how far each scalar leans on each nuisance.
 
-    The second: by quantity and nuisance, the relative change of the quantity if the nuisance's
-    prior were centred one spread higher (linearised).
+    `bend`: what curvature does (`fitting.solve.Bend`); its spread, at most that of the linear
+    error, goes into the intervals.  The second: by quantity and nuisance, the relative change of
+    the quantity if the nuisance's prior were centred one spread higher (linearised).
     """
     quantities, leaning = {}, {}
     for name, unit in UNITS.items():
         value, slope = np.asarray(values[name]), np.asarray(slopes[name])
-        quantities[name] = derived_quantity(value, slope, covariance, *unit)
+        found = derived_quantity(value, slope, covariance, *unit)
+        if bend is not None:
+            extra = np.minimum(np.asarray(bend.derived[name]), found.sd)
+            found = dataclasses.replace(found, bend=extra)
+        quantities[name] = found
         if value.ndim == 0:
             moved = slope / value @ covariance
             leaning[name] = {

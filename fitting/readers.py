@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 import oceaninv as oi
+from fitting._photo_model import WAVELENGTH
 from fitting.observations import Profile
 from fitting.readings import Background, Chart, Photo
 
@@ -122,15 +123,18 @@ def read_photo(
     solar_zenith: float | None = None,
     azimuth: float | None = None,
     field_noise: float = 0.03,
+    response_shift: float = 0.0,
 ) -> tuple[Photo, int]:
     """Chart and background readings of one photograph, and how many rows were left out as clipped.
 
     Columns: kind (chart or background), chart (name), reflectance (0-1, neutral), range (m),
     zenith (degrees of the line of sight), R, G, B (linear) and R_sd, G_sd, B_sd; optional
-    `clipped` (1 leaves the row out).  `field_noise`: relative scatter that is added to the stated
-    standard deviations (caustics, unevenness).  `camera`: a name of the response table,
-    "generic", or None for the header's `camera`.  `solar_zenith` and `azimuth` (degrees, 180 with
-    the sun behind the camera): None takes the header's, else 40 and 90.
+    `clipped` (1 leaves the row out), `target` and `patch`: a chart that `fitting.targets.target`
+    knows and the number in it, whose spectrum then stands for `reflectance`.  `field_noise`:
+    relative scatter that is added to the stated standard deviations (caustics, unevenness).
+    `camera`: a name of the response table, "generic", or None for the header's `camera`.
+    `solar_zenith` and `azimuth` (degrees, 180 with the sun behind the camera): None takes the
+    header's, else 40 and 90.  `response_shift` as in `Photo`.
     """
     sheet = read_sheet(path)
     channels = ["R", "G", "B"]
@@ -152,7 +156,7 @@ def read_photo(
                 f"{sheet.path}: data row {row}: kind is {kind!r}; chart or background wanted."
             )
     zenith, distance = sheet.numbers("zenith"), sheet.numbers("range")
-    reflectance = sheet.numbers("reflectance")
+    reflectance = _spectra(sheet)
     is_chart = np.array([kind == "chart" for kind in kinds])
     try:
         charts = []
@@ -179,6 +183,7 @@ def read_photo(
             depth=depth,
             depth_sd=depth_sd,
             response=response,
+            response_shift=response_shift,
             solar_zenith=header_number(sheet, "solar_zenith", solar_zenith, 40.0),
             azimuth=header_number(sheet, "azimuth", azimuth, 90.0),
             source=str(path),
@@ -186,6 +191,30 @@ def read_photo(
     except ValueError as error:
         raise ValueError(f"{sheet.path}: {error}") from None
     return photo, int((~keep).sum())
+
+
+def _spectra(sheet: Sheet) -> np.ndarray:
+    """(row,) neutral reflectances, or (row, wl) where some row names its target and patch."""
+    from fitting.targets import target
+
+    neutral = sheet.numbers("reflectance")
+    if "target" not in sheet.columns or not any(names := sheet.texts("target")):
+        return neutral
+    sheet.require("patch")
+    numbers = sheet.numbers("patch")
+    charts = {name: target(name) for name in set(names) if name}
+    rows = []
+    for line, (name, number, grey) in enumerate(zip(names, numbers, neutral, strict=True), start=1):
+        if not name:
+            rows.append(np.full(len(WAVELENGTH), grey))
+        elif 1 <= number <= len(charts[name].reflectance):
+            rows.append(charts[name].reflectance[int(number) - 1])
+        else:
+            raise ValueError(
+                f"{sheet.path}: data row {line}: {name} has patches 1 to "
+                f"{len(charts[name].reflectance)}, not {number:g}."
+            )
+    return np.stack(rows)
 
 
 def header_number(sheet: Sheet, key: str, value: float | None, default: float | None):

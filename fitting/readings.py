@@ -160,6 +160,8 @@ class Photo:
       of the frame free.
     - `response`: the camera's spectral response (`oceaninv.spectrum.camera_response(name)`), or
       `None` for an unknown camera: the mean of 50 cameras with three free components.
+    - `response_shift`: standard deviation, nm, of an unknown shift of `response` (another body of
+      the model, a filter, a port); 0 (default) takes it as measured.
     - `depth`: metres of the camera below the surface; charts are taken to hang at its depth plus
       what their line of sight descends.
     - `depth_sd`: relative standard deviation of `depth`.
@@ -183,6 +185,7 @@ class Photo:
     pixels: Pixels | None
     exposure: float | None
     exposure_sd: float
+    response_shift: float
 
     def __init__(
         self,
@@ -194,6 +197,7 @@ class Photo:
         exposure: Any = None,
         exposure_sd: Any = 0.03,
         response=None,
+        response_shift: Any = 0.0,
         depth_sd=0.02,
         solar_zenith: Any = 40.0,
         azimuth: Any = 90.0,
@@ -212,6 +216,8 @@ class Photo:
             raise ValueError(f"depth must be positive metres, not {depth}.")
         if not 0 <= solar_zenith < 90:
             raise ValueError(f"solar_zenith must lie in [0, 90) degrees, not {solar_zenith:g}.")
+        if not 0 <= response_shift < 50:
+            raise ValueError(f"response_shift must lie in [0, 50) nm, not {response_shift}.")
         readings = [item.values for item in charts + backgrounds]
         usable = sum(int(np.sum(np.isfinite(v) & (v > 0))) for v in readings)
         total = sum(v.size for v in readings)
@@ -237,5 +243,6 @@ class Photo:
             ("pixels", pixels),
             ("exposure", None if exposure is None else float(exposure)),
             ("exposure_sd", float(exposure_sd)),
+            ("response_shift", float(response_shift)),
         ):
             object.__setattr__(self, key, value)

@@ -249,7 +249,7 @@ def save(
         names = ["R", "G", "B"] if values.shape[-1] == 3 else list(found.camera.response.channels)
     else:
         raise ValueError(f"cannot write {path}: name a file that ends in .exr, .tif or .png.")
-    _write(path, values, names, bits, note)
+    write_image(path, values, names, bits, note)
 
 
 def _exr(found: oi.SceneFile, picture: Picture, spectral: bool) -> tuple[np.ndarray, list[str]]:
@@ -273,7 +273,7 @@ def _exr(found: oi.SceneFile, picture: Picture, spectral: bool) -> tuple[np.ndar
     return np.concatenate(values, axis=-1), [*layers, "range"]
 
 
-def _write(path: Path, values: np.ndarray, names: list[str], bits: str, note: str) -> None:
+def write_image(path: Path, values: np.ndarray, names: list[str], bits: str, note: str) -> None:
     import OpenImageIO as oiio
 
     height, width, count = values.shape

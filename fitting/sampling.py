@@ -203,6 +203,8 @@ def _posterior(fit: Fit, draws: np.ndarray, diagnostics: dict, result: str) -> F
         covariance=np.cov(draws.T),
         quantities=quantities,
         samples=draws,
+        bias=None,
+        bend=None,
         metadata=dict(fit.metadata) | {"sampling": diagnostics},
         result=result,
     )

@@ -122,13 +122,33 @@ def test_predicted_values_are_those_of_the_forward_chain():
     np.testing.assert_allclose(clean(), expected, rtol=1e-6)
 
 
+def test_a_shifted_response_is_the_response_moved_to_the_red():
+    from fitting._photo_model import _shifted
+
+    response = oi.spectrum.camera_response(CAMERA)
+    still, moved = np.asarray(response.weights(WAVELENGTH)), np.asarray(_shifted(response, 2.0))
+    samples = np.asarray(response.samples)
+    exact = oi.spectrum.Response(response.values, samples + 2.0, response.channels)
+    change = np.asarray(exact.weights(WAVELENGTH)) - still
+    assert np.abs(moved - still - change).max() < 0.15 * np.abs(change).max()
+    # Named by the photograph, it is one more nuisance.
+    assert "response_shift" not in fitted().value
+    names = prepare([photo(response_shift=2.0)], oi.TwoStream())[0].names
+    assert "response_shift" in names
+    with pytest.raises(ValueError, match="response_shift must lie"):
+        photo(response_shift=-1.0)
+
+
 def test_noise_free_readings_return_the_truth():
     fit = fitted()
     assert fit.converged
-    # The weak priors of the constituents pull by a small part of the uncertainty.
+    # The weak priors of the constituents pull the mode by a small part of the uncertainty; values
+    # are that less what the mode of noisy readings errs by on average.
     for name, value in TRUTH.items():
-        pull = abs(np.log(fit.value[name] / value)) / fit.sd[name]
-        assert pull < 0.35, name
+        i = fit.parameters.names.index(name)
+        assert abs(fit.x[i] - np.log(value)) / fit.sd[name] < 0.35, name
+        assert np.log(fit.value[name]) == pytest.approx(fit.x[i] - fit.bias[i])
+        assert abs(fit.bias[i]) <= 0.5 * fit.sd[name]
     exact = water(np.array([440.0, 550.0]))
     c_550 = fit.quantities["c_550"]
     assert abs(np.log(float(c_550.value) / float(exact.c[1]))) < 0.2 * float(c_550.sd)
@@ -306,3 +326,19 @@ def test_pixels_of_unknown_reflectance_measure_attenuation():
     low, high = fit.quantities["c_550"].interval(0.99)
     assert low < float(exact.c[0]) < high
     assert fit.quantities["c_550"].sd < 0.2
+
+
+@pytest.mark.slow
+def test_an_exact_transport_fits_too():
+    """Readings of the exact model, fitted by it: c within a small part of its uncertainty."""
+    transport = oi.PlaneParallel(streams=6, orders=6)
+    parameters, (readings,), sunlight = prepare([photo()], transport)
+    values = {p.name: jnp.asarray(p.centre) for p in parameters}
+    values |= {name: jnp.asarray(v) for name, v in TRUTH.items()}
+    seen = np.asarray(predict(values, readings, transport, sunlight))
+    fit = fit_photo(photo(seen), transport=transport)
+    assert fit.converged
+    assert fit.metadata["transport"] == "PlaneParallel"
+    c_550 = fit.quantities["c_550"]
+    exact = float(water(np.array([550.0])).c[0])
+    assert abs(np.log(float(c_550.value) / exact)) < 0.2 * float(c_550.sd)

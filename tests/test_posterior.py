@@ -1,5 +1,6 @@
 """Intervals, identifiability and derived quantities."""
 
+import dataclasses
 import json
 
 import numpy as np
@@ -8,7 +9,7 @@ from scipy.stats import norm, t
 
 from fitting import Fit, Identity, Logit, Parameter, Quantity
 from fitting.parameters import Parameters
-from fitting.posterior import Predictive, derived_quantity, quantile
+from fitting.posterior import Predictive, derived_quantity, half_width, quantile
 
 
 def fit(parameters, x, sd, correlation=0.0, dof=None, result="converged"):
@@ -68,6 +69,27 @@ def test_an_estimated_noise_widens_intervals_by_students_t():
     estimated = fit([Parameter("kd", 0.2)], [0.0], [0.1], dof=3.0)
     ratio = np.log(estimated.interval("kd")[1]) / np.log(known.interval("kd")[1])
     assert ratio == pytest.approx(t.ppf(0.975, 3) / norm.ppf(0.975), rel=1e-9)
+
+
+@pytest.mark.parametrize("level", [0.68, 0.95])
+def test_a_bent_error_stays_inside_its_half_width(level):
+    """x = z + c (z^2 - 1): the interval of the mode holds as much as it says, for either sign."""
+    z = np.random.default_rng(1).standard_normal(400_000)
+    for c in (0.15, -0.15, 0.3):
+        inside = np.abs(z + c * (z * z - 1)) < half_width(level, 1.0, np.sqrt(2.0) * abs(c))
+        assert level - 0.03 < inside.mean() < level + 0.035
+    assert half_width(level, 0.2, 0.0, 5.0) == pytest.approx(0.2 * quantile(level, 5.0))
+
+
+def test_the_value_is_the_mode_less_its_bias_and_the_interval_is_about_the_mode():
+    one = dataclasses.replace(
+        fit([Parameter("a", 1.0)], [0.3], [0.2]), bias=np.array([-0.05]), bend=np.array([0.1])
+    )
+    assert one.value["a"] == pytest.approx(np.exp(0.35))
+    low, high = one.interval("a")
+    assert np.log(low * high) == pytest.approx(0.6)
+    reach = np.hypot(1.959964 * 0.2, (1.959964**2 - 1) * 0.1 / np.sqrt(2))
+    assert np.log(high / low) == pytest.approx(2 * reach, rel=1e-6)
 
 
 @pytest.mark.parametrize(

@@ -9,6 +9,7 @@ from fitting.solve import (
     RESULTS,
     covariance,
     cross_check,
+    curvature,
     least_squares,
     sentence,
     value_and_jacobian,
@@ -167,3 +168,31 @@ def test_directions_that_nothing_constrains_are_huge_not_nan(kind, dtype):
     kept = jacobian[:, :2]
     best = np.linalg.inv(kept.T @ kept)[0, 0]
     assert cov[0, 0] == pytest.approx(best, rel=1e-3)
+
+
+def test_curvature_gives_bias_and_spread_of_a_quadratic_model():
+    """r_i = x_i + c_i (d_i . x)^2 over the spreads s_i, d_i of length 1 in these: the mode errs by
+    -c_i z^2, z standard normal, of mean -c_i and standard deviation 2^(1/2) c_i."""
+    rng = np.random.default_rng(3)
+    count = 30
+    size = np.exp(rng.standard_normal(count))
+    bend = 0.1 * rng.standard_normal(count)
+    across = rng.standard_normal((count, count))
+    across /= np.linalg.norm(across, axis=1)[:, None] * size[None, :]
+
+    def function(x):
+        bent = x + jnp.asarray(bend * size) * (jnp.asarray(across) @ x) ** 2
+        return bent / jnp.asarray(size), {"log": x[0] + x[1], "straight": 3.0 * x[2]}
+
+    x = jnp.zeros(count)
+    _, jacobian = value_and_jacobian(lambda x: function(x)[0], x)
+    _, slopes = value_and_jacobian(lambda x: function(x)[1], x)
+    found = curvature(function, x, covariance(jacobian), jacobian, slopes)
+    np.testing.assert_allclose(found.bias, -bend * size, rtol=1e-8)
+    # The spread is estimated from as many directions as there are unknowns: right on average.
+    share = np.asarray(found.spread) / (np.sqrt(2) * np.abs(bend) * size)
+    assert np.sqrt(np.mean(share**2)) == pytest.approx(1.0, abs=0.12)
+    assert np.all((share > 0.3) & (share < 2.0))
+    straight = np.asarray(found.derived["straight"])
+    assert straight == pytest.approx(3 * np.asarray(found.spread)[2], rel=1e-8)
+    assert found.derived["log"] > 0

@@ -59,6 +59,11 @@ def print_water(fit: "Fit") -> None:
         plan = fit.metadata["plan"]
         error, asked = (f"{100 * plan[n]:.2g} %" for n in ("predicted_error", "tolerance"))
         print(f"chosen: {plan['transport']}, predicted error {error}, asked {asked}")
+    if fit.bias is not None:
+        print("values of constituents are corrected for the curvature of the model (Box 1971)")
+    if "nearest_jerlov_type" in fit.metadata:
+        away = 100 * fit.metadata["nearest_jerlov_rms_ln_kd"]
+        print(f"nearest Jerlov type: {fit.metadata['nearest_jerlov_type']} ({away:.0f} % off)")
     print(f"search: {fit.result}")
 
 

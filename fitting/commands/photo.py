@@ -40,6 +40,19 @@ def fit_photo_command(
         typer.Option(help="Standard deviations beyond which a reading counts linearly."),
     ] = None,
     tolerance: Tolerance = None,
+    response_shift: Annotated[
+        float, typer.Option(help="Standard deviation (nm) of an unknown shift of the response.")
+    ] = 0.0,
+    picture_of: Annotated[
+        Path | None, typer.Option("--picture", help="The photograph itself, to take its water out.")
+    ] = None,
+    range_map: Annotated[Path | None, typer.Option(help="Range map of --picture.")] = None,
+    encoding: Annotated[
+        str | None, typer.Option(help="linear or sRGB, for a --picture that does not say.")
+    ] = None,
+    report: Annotated[
+        bool, typer.Option("--report", help="Write STEM.html, a page with everything in it.")
+    ] = False,
     sample: Annotated[
         bool, typer.Option(help="Draw from the posterior (NUTS; minutes, needs blackjax).")
     ] = False,
@@ -54,7 +67,10 @@ def fit_photo_command(
     known = dict(_known(text) for text in know or ())
     if robust is not None and not robust > 0:
         raise ValueError(f"--robust is {robust:g}; a positive number wanted.")
-    photo, clipped = read_photo(path, metres, relative, camera, solar_zenith, azimuth)
+    photo, clipped = read_photo(
+        path, metres, relative, camera, solar_zenith, azimuth, response_shift=response_shift
+    )
+    shown = _shown(picture_of, range_map, encoding)
     preload()
     with status("fitting constituents (the first run compiles)"):
         fit = fit_photo(photo, matrix=matrix, know=known, robust=robust, tolerance=tolerance)
@@ -64,7 +80,39 @@ def fit_photo_command(
     if clipped or photo.masked:
         print(f"left out: {clipped} clipped rows, {photo.masked} missing or non-positive values")
     print_water(fit)
-    finish(output or Path(path.stem), lambda p: save(p, fit), lambda p: picture(fit, p))
+    stem = output or Path(path.stem)
+    finish(stem, lambda p: save(p, fit), lambda p: picture(fit, p))
+    pictures = [] if shown is None else _without_water(fit, photo, shown, stem)
+    if report:
+        from fitting.html import write_html
+
+        page = stem.with_name(stem.name + ".html")
+        write_html(fit, page, pictures)
+        print(f"wrote {page}")
+
+
+def _shown(picture_of: Path | None, range_map: Path | None, encoding: str | None):
+    """The photograph and its ranges, or None; read before the fit, so that it fails early."""
+    if (picture_of is None) != (range_map is None):
+        raise ValueError("--picture and --range-map go together: one without the other is no use.")
+    if picture_of is None or range_map is None:
+        return None
+    from fitting.photographs import read_photograph, read_range
+
+    photograph = read_photograph(picture_of, encoding)
+    return photograph, read_range(range_map, photograph.values.shape[:2])
+
+
+def _without_water(fit, photo, shown, stem: Path) -> list[tuple[str, Path]]:
+    """Write the restored picture and its residual; (caption, file) of what a page can show."""
+    from fitting.restore import restore
+
+    photograph, ranges = shown
+    views = [float(chart.zenith) for chart in photo.charts]
+    restored = restore(fit, photograph, ranges, zenith=sum(views) / len(views) if views else 90.0)
+    exr, png, residual = restored.save(stem)
+    print(f"wrote {exr}, {png} and {residual}")
+    return [("Without the water", png), ("Where the fitted water does not suit", residual)]
 
 
 def _known(text: str) -> tuple[str, tuple[float, float]]:

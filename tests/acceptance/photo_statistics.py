@@ -17,6 +17,7 @@ and 4 m and open water, horizontally; exposure and white balance unknown; 1 % no
 import functools
 import sys
 from pathlib import Path
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -28,9 +29,9 @@ import oceaninv as oi
 from fitting import Background, Chart, Photo
 from fitting.parameters import Prior
 from fitting.photo import WAVELENGTH, PhotoProblem, predict, prepare, search
-from fitting.posterior import quantile
+from fitting.posterior import half_width
 from fitting.quantities import water_quantities
-from fitting.solve import covariance, value_and_jacobian
+from fitting.solve import covariance, curvature, value_and_jacobian
 from tests.acceptance import _mismatched
 
 DRAWS, CHUNK, NOISE = 200, 25, 0.01
@@ -70,7 +71,7 @@ def scalars(values):
 
 @functools.cache
 def programs():
-    """Batched (predict and quantities, fit, slopes of the quantities), compiled once each."""
+    """Batched (predict and quantities, fit), compiled once each."""
     parameters, (readings,), sunlight = problem()
     layout = parameters.layout()
     transport = oi.TwoStream()
@@ -82,7 +83,8 @@ def programs():
         return predict(layout.values(x), readings, transport, sunlight), quantities(x)
 
     def fit(seen, start, centre, weight, scale):
-        """Optimum, code, covariance and reduced chi2, with the default 1 % of each reading."""
+        """Optimum, code, covariance and reduced chi2, with the default 1 % of each reading; then
+        bias and second-order spread of the coordinates, ln quantities, their slopes and spread."""
         mask = seen > 0
         here = eqx.tree_at(
             lambda r: (r.values, r.sigma, r.mask),
@@ -93,12 +95,20 @@ def programs():
         problem = PhotoProblem(layout, prior, (here,), transport, sunlight)
         optimum = search(problem, start)
         chi2 = jnp.sum(optimum.residual**2) / seen.size
-        return optimum.x, optimum.code, covariance(optimum.jacobian), chi2
+        cov = covariance(optimum.jacobian)
+        logs, slope = value_and_jacobian(quantities, optimum.x)
 
-    def slopes(x):
-        return value_and_jacobian(quantities, x)
+        def curved(x):
+            return problem.residual(x), quantities(x)
 
-    return tuple(jax.jit(jax.vmap(f)) for f in (forward, fit, slopes))
+        bend = curvature(curved, optimum.x, cov, optimum.jacobian, slope)
+        sd = jnp.sqrt(jnp.diagonal(cov))
+        bias, spread = jnp.clip(bend.bias, -0.5 * sd, 0.5 * sd), jnp.minimum(bend.spread, sd)
+        of_logs = jnp.sqrt(jnp.einsum("qi,ij,qj->q", slope, cov, slope))
+        derived = jnp.minimum(bend.derived, of_logs)
+        return optimum.x, optimum.code, cov, chi2, bias, spread, logs, of_logs, derived
+
+    return tuple(jax.jit(jax.vmap(f)) for f in (forward, fit))
 
 
 def by_chunks(program, *arrays):
@@ -112,13 +122,13 @@ def by_chunks(program, *arrays):
 
 
 def fit_all(seen, suns, changes=None):
-    """Fits of (draw, reading, channel): x, code, covariance, chi2, ln quantities and slopes.
+    """Fits of (draw, reading, channel): what `fit` of `programs` returns.
 
     `changes`: priors to exchange by name, as in `fit_photo`.
     """
     parameters = problem()[0].replace(changes or {})
     prior = parameters.prior()
-    forward, fit, slopes = programs()
+    forward, fit = programs()
     centre, weight, scale = (
         np.tile(np.asarray(v), (len(seen), 1)) for v in (prior.centre, prior.weight, prior.scale)
     )
@@ -128,8 +138,7 @@ def fit_all(seen, suns, changes=None):
     gains = [parameters.names.index(f"gain_0_{c}") for c in "RGB"]
     start = centre.copy()
     start[:, gains] += np.log(np.median(seen / at_centre, axis=1))
-    found = by_chunks(fit, seen, start, centre, weight, scale)
-    return (*found, *by_chunks(slopes, found[0]))
+    return by_chunks(fit, seen, start, centre, weight, scale)
 
 
 def truths(count: int, seed: int) -> np.ndarray:
@@ -169,7 +178,7 @@ def curvatures():
     return jax.jit(jax.vmap(summed))
 
 
-def bayesian_bound(x: np.ndarray, step: float = 1e-5):
+def bayesian_bound(x: np.ndarray, step: float = 1e-5, changes=None):
     """(draw, unknown) and (draw, quantity) of each: bounds on sd; how far the priors pull from x;
     and the bias of a mode by the curvature of the model.
 
@@ -179,7 +188,7 @@ def bayesian_bound(x: np.ndarray, step: float = 1e-5):
     Statistical Society B 33:171): -1/2 C J^T m, with m the model's second derivatives against
     their covariance C.
     """
-    parameters = problem()[0]
+    parameters = problem()[0].replace(changes or {})
     forward = programs()[0]
     seen = by_chunks(forward, x)[0]
     slopes, of_quantities = [], []
@@ -207,44 +216,61 @@ def bayesian_bound(x: np.ndarray, step: float = 1e-5):
     )
 
 
+class Row(NamedTuple):
+    """One number over all draws, each (draw,): errors (ln) of the value and of the mode, bound,
+    reported sd and second-order spread, the priors' pull and the curvature's bias of the mode."""
+
+    error: np.ndarray
+    of_mode: np.ndarray
+    best: np.ndarray
+    sd: np.ndarray
+    spread: np.ndarray
+    pull: np.ndarray
+    bend: np.ndarray
+
+
 def matched(count: int = DRAWS, seed: int = 11):
-    """By name: errors (ln), bounds, reported sd, the priors' pull and the curvature's bias, each
-    (draw,); and the share that converged."""
+    """`Row` by name; and the share that converged."""
     x = truths(count, seed)
     exact, logs = by_chunks(programs()[0], x)
     noise = np.random.default_rng(seed + 1).standard_normal(exact.shape)
     best, pull, bend = bayesian_bound(x)
-    found, code, cov, _, log_found, slope = fit_all(
+    found, code, cov, _, bias, spread, log_found, of_logs, derived = fit_all(
         exact * (1 + NOISE * noise), np.full(count, SUN)
     )
-    spreads = (
-        np.sqrt(np.einsum("dii->di", cov)),
-        np.sqrt(np.einsum("dqi,dij,dqj->dq", slope, cov, slope)),
-    )
-    names = problem()[0].names
-    errors = (found - x, log_found - logs)
-    rows = {}
+    names, rows, off = problem()[0].names, {}, found - x
     for name in COAST:
         i = names.index(name)
-        rows[name] = tuple(both[0][:, i] for both in (errors, best, spreads, pull, bend))
+        sd = np.sqrt(cov[:, i, i])
+        parts = (best[0], pull[0], bend[0])
+        known, pulled, curved = (part[:, i] for part in parts)
+        rows[name] = Row(off[:, i] - bias[:, i], off[:, i], known, sd, spread[:, i], pulled, curved)
     for q, name in enumerate(QUANTITIES):
-        rows[name] = tuple(both[1][:, q] for both in (errors, best, spreads, pull, bend))
+        error = log_found[:, q] - logs[:, q]
+        known, pulled, curved = (part[1][:, q] for part in (best, pull, bend))
+        rows[name] = Row(error, error, known, of_logs[:, q], derived[:, q], pulled, curved)
     return rows, float(np.mean(code == 0))
 
 
-def summary(error, best, sd, pull, bend) -> dict[str, float]:
+def covers(of_mode, sd, spread, level: float) -> float:
+    """Share of intervals, as `fitting.Fit` makes them, that hold the truth."""
+    return float(np.mean(np.abs(of_mode) <= half_width(level, sd, spread)))
+
+
+def summary(row: Row) -> dict[str, float]:
     """The numbers of one row."""
     out = {
-        "sd": float(np.std(error / best, ddof=1)),
-        "bias": float(np.mean(error / best)),
-        "median": float(np.median(error / best)),
-        "pull": float(np.mean(pull / best)),
-        "bend": float(np.mean(bend / best)),
-        "reported": float(np.median(sd / best)),
-        "relative": float(np.median(best)),
+        "sd": float(np.std(row.error / row.best, ddof=1)),
+        "bias": float(np.mean(row.error / row.best)),
+        "mode": float(np.mean(row.of_mode / row.best)),
+        "median": float(np.median(row.error / row.best)),
+        "pull": float(np.mean(row.pull / row.best)),
+        "bend": float(np.mean(row.bend / row.best)),
+        "reported": float(np.median(row.sd / row.best)),
+        "relative": float(np.median(row.best)),
     }
     for level in LEVELS:
-        out[f"coverage {level}"] = float(np.mean(np.abs(error) <= quantile(level) * sd))
+        out[f"coverage {level}"] = covers(row.of_mode, row.sd, row.spread, level)
     return out
 
 
@@ -255,16 +281,18 @@ def matched_table(count: int = DRAWS) -> str:
     lines = [
         "# Photo fit, matched model\n",
         f"`python -m tests.acceptance.photo_statistics matched`: {count} draws, converged "
-        f"{converged:.3f}.  Errors are of logarithms, in units of the bound.\n",
-        "| | bound (relative) | sd / bound | bias / bound | expected: priors' pull | expected: "
-        f"curvature | median error / bound | reported sd / bound | {heads[0]} | {heads[1]} |",
-        "|---|---|---|---|---|---|---|---|---|---|",
+        f"{converged:.3f}.  Errors are of logarithms, in units of the bound.  Values of "
+        "constituents are corrected for the curvature; quantities are those of the mode.\n",
+        "| | bound (relative) | sd / bound | bias / bound | of the mode | expected of it: priors' "
+        "pull | expected of it: curvature | median error / bound | reported sd / bound | "
+        f"{heads[0]} | {heads[1]} |",
+        "|---|---|---|---|---|---|---|---|---|---|---|",
     ]
     for name, row in rows.items():
-        s = summary(*row)
+        s = summary(row)
         lines.append(
             f"| {name} | {s['relative']:.3f} | {s['sd']:.3f} | {s['bias']:+.3f} | "
-            f"{s['pull']:+.3f} | {s['bend']:+.3f} | {s['median']:+.3f} | "
+            f"{s['mode']:+.3f} | {s['pull']:+.3f} | {s['bend']:+.3f} | {s['median']:+.3f} | "
             f"{s['reported']:.3f} | {s['coverage 0.68']:.3f} | {s['coverage 0.95']:.3f} |"
         )
     return "\n".join(lines)
@@ -295,18 +323,20 @@ TRUE = ("Kd_490", "c_550", "a_cdm_440", "chlorophyll")
 
 
 def mismatched(repeats: int = 5, changes=None):
-    """Errors (ln) and reported sd, each (draw, TRUE); codes, reduced chi2, waters, optima."""
+    """Errors (ln) of values and modes, sd, second-order spread, each (draw, TRUE); codes, reduced
+    chi2, waters, optima."""
     seen, suns, true, waters = photographs(repeats)
-    x, code, cov, chi2, logs, slope = fit_all(seen, suns, changes)
-    variance = np.einsum("dqi,dij,dqj->dq", slope, cov, slope)
+    x, code, cov, chi2, bias, spread, logs, of_logs, derived = fit_all(seen, suns, changes)
     i = problem()[0].names.index("chlorophyll")
-    found = np.column_stack([logs[:, :3], x[:, i]])
-    sd = np.sqrt(np.column_stack([variance[:, :3], cov[:, i, i]]))
-    return found - true, sd, code, chi2, waters, x
+    of_mode = np.column_stack([logs[:, :3], x[:, i]]) - true
+    error = of_mode - np.column_stack([np.zeros((len(x), 3)), bias[:, i]])
+    sd = np.column_stack([of_logs[:, :3], np.sqrt(cov[:, i, i])])
+    extra = np.column_stack([derived[:, :3], spread[:, i]])
+    return error, of_mode, sd, extra, code, chi2, waters, x
 
 
 def mismatched_table(repeats: int = 5, changes=None) -> str:
-    error, sd, code, chi2, waters, _ = mismatched(repeats, changes)
+    error, of_mode, sd, extra, code, chi2, waters, _ = mismatched(repeats, changes)
     lines = [
         "# Photo fit, truth of another model\n",
         f"`python -m tests.acceptance.photo_statistics mismatched`: {len(waters)} waters x "
@@ -317,7 +347,7 @@ def mismatched_table(repeats: int = 5, changes=None) -> str:
         "|---|---|---|---|---|---|",
     ]
     for q, name in enumerate(TRUE):
-        cover = [np.mean(np.abs(error[:, q]) <= quantile(p) * sd[:, q]) for p in LEVELS]
+        cover = [covers(of_mode[:, q], sd[:, q], extra[:, q], p) for p in LEVELS]
         lines.append(
             f"| {name} | {np.expm1(np.median(error[:, q])):+.1%} | "
             f"{np.expm1(np.median(np.abs(error[:, q]))):.1%} | {np.median(sd[:, q]):.3f} | "

@@ -420,8 +420,32 @@ def inelastic(folder):
     )
 
 
+def charts(folder):
+    """Reflectances of a colour chart."""
+    with open(SOURCE.parent / "photos" / "dgk_chart_reflectances.csv", newline="") as file:
+        rows = list(csv.DictReader(file))
+    columns = {"wavelength": [row["wavelength"] for row in rows]}
+    for i in range(1, 19):
+        columns[str(i)] = [round(float(row[f"Patch{i}"]), 4) for row in rows]
+    write(
+        folder,
+        "DGK18",
+        {
+            "title": "Reflectances of the 18 patches of a DGK colour chart",
+            "citation": "data of a course on underwater colorimetry, without author, year or"
+            " licence; retrieved 2026",
+            "units": "wavelength=nm, *=1",
+            "range": "400-700 nm",
+            "note": "patches in reading order, six greys from white to black first; its scale is "
+            "uncertain: greys are darker than usual, and nothing is to be trusted below 430"
+            " nm; rounded to 4 decimals",
+        },
+        columns,
+    )
+
+
 def main(folder):
-    for chapter in (pure_water, constituents, inelastic, water_types, cameras):
+    for chapter in (pure_water, constituents, inelastic, water_types, cameras, charts):
         chapter(folder)
 
 

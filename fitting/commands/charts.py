@@ -1,0 +1,106 @@
+"""`oceaninv read-charts`."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+
+def read_charts_command(
+    path: Annotated[Path, typer.Argument(help="Photograph: raw, EXR, 16-bit PNG or TIFF.")],
+    chart: Annotated[
+        list[str],
+        typer.Option(
+            help='One chart, as "A DGK18 4.65 x,y x,y x,y x,y": name, kind (ColorChecker24, DGK18 '
+            "or a csv), range in m (or map), corners from its own top left, clockwise."
+        ),
+    ],
+    output: Annotated[
+        Path, typer.Option("--output", "-o", help="Stem of the files: STEM.csv and STEM.png.")
+    ],
+    background: Annotated[
+        list[str] | None,
+        typer.Option(help='Window of open water, as "x0,y0 x1,y1" or "x0,y0 x1,y1 zenith".'),
+    ] = None,
+    zenith: Annotated[float, typer.Option(help="Line of sight, degrees; 90 is horizontal.")] = 90.0,
+    range_map: Annotated[Path | None, typer.Option(help="Range map of the photograph.")] = None,
+    encoding: Annotated[
+        str | None, typer.Option(help="linear or sRGB, for files that do not say.")
+    ] = None,
+    camera: Annotated[str, typer.Option(help="Camera by name, or generic.")] = "generic",
+) -> None:
+    """Read the patches of charts in a photograph: a csv for fit-photo, a picture of where."""
+    import numpy as np
+
+    from fitting.charts import overlay, read_chart, table_of
+    from fitting.photographs import read_photograph, read_range
+
+    photograph = read_photograph(path, encoding)
+    ranges = None
+    if range_map is not None:
+        ranges = read_range(range_map, photograph.values.shape[:2])
+    readings, rows = [], []
+    for text in chart:
+        name, kind, distance, corners = _chart(text)
+        reading = read_chart(photograph, corners, kind)
+        if distance is None:
+            distance = _median(ranges, reading.outline, text)
+        readings.append(reading)
+        rows.append((name, kind, distance, reading))
+        print(f"{name} at {distance:.2f} m: {reading.sentence()}")
+    windows = [_window(text, zenith) for text in background or ()]
+    content = table_of(photograph, rows, windows, zenith, camera)
+    from fitting.report import whole
+
+    data, image = (output.with_name(output.name + end) for end in (".csv", ".png"))
+    overlay(photograph, readings, image)
+    with whole(data) as temporary:
+        temporary.write_text(content, encoding="utf-8")
+    left = int(np.sum([(~r.kept).sum() for r in readings]))
+    print(f"left out: {left} patches.  wrote {data} and {image}")
+
+
+def _point(text: str) -> tuple[float, float]:
+    x, y = text.split(",")
+    return float(x), float(y)
+
+
+def _chart(text: str):
+    """(name, kind, range or None, corners) of one --chart."""
+    parts = text.split()
+    try:
+        name, kind, distance = parts[:3]
+        corners = [_point(p) for p in parts[3:]]
+        metres = None if distance == "map" else float(distance)
+        if len(corners) != 4:
+            raise ValueError
+    except ValueError:
+        raise ValueError(
+            f'--chart is {text!r}; write "name kind range x,y x,y x,y x,y", range in m or "map".'
+        ) from None
+    return name, kind, metres, corners
+
+
+def _window(text: str, zenith: float):
+    """(x0, y0, x1, y1, zenith) of one --background."""
+    parts = text.split()
+    try:
+        first, second = _point(parts[0]), _point(parts[1])
+        return (*first, *second, float(parts[2]) if len(parts) > 2 else zenith)
+    except (ValueError, IndexError):
+        raise ValueError(
+            f'--background is {text!r}; write "x0,y0 x1,y1", and a zenith after it if it differs.'
+        ) from None
+
+
+def _median(ranges, outline, text: str) -> float:
+    """Median range over the patches of a chart."""
+    import numpy as np
+
+    if ranges is None:
+        raise ValueError(f'--chart is {text!r}, whose range is "map": give --range-map.')
+    column, row = np.round(outline.mean(axis=1)).astype(int).T
+    found = np.nanmedian(ranges[row, column]) if np.isfinite(ranges[row, column]).any() else np.nan
+    if not np.isfinite(found):
+        raise ValueError(f"the range map has no range on the chart of {text!r}: give it in m.")
+    return float(found)
