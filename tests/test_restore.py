@@ -84,6 +84,7 @@ def test_the_nearest_type_is_the_type_itself(name):
     assert nearest_jerlov(WAVELENGTH, quantity) == (name, pytest.approx(np.log(1.05)))
 
 
+@pytest.mark.slow
 def test_background_alone_is_not_identifiable_but_covered():
     """Open water in one direction, exposure unknown: intervals that hold the truth, few numbers."""
     frame = Photo((), [Background(clean()[8:])], depth=5.0,
