@@ -11,13 +11,15 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from oceaninv._numerics import safe_sqrt
 from oceaninv.iops import IOPs
 from oceaninv.optics import Rays, fresnel_from_air, fresnel_from_water, refracted_cosine
 from oceaninv.scene import Scene
 from oceaninv.transport import _discrete_ordinates as do
-from oceaninv.transport.plane_parallel import PlaneParallel, flat_basis
+from oceaninv.transport.plane_parallel import PlaneParallel
 
 _STEPS = 7  # of Newton's method
+_HALVINGS = 50
 
 
 class Apparent(eqx.Module):
@@ -105,20 +107,55 @@ def _to_light(scene: Scene, share: float, transport: PlaneParallel):
     return -np.log(share) / found, found
 
 
+_TAIL = 1024  # degrees of the light without scattering that are followed beyond the moments
+
+
 @eqx.filter_jit
-def kd_asymptotic(water: IOPs, streams: int = 16) -> Float[Array, " wl"]:
+def kd_asymptotic(water: IOPs, moments: int = 64) -> Float[Array, " wl"]:
     """Attenuation (1/m) of all light deep in endless water, which no longer depends on the sun.
 
-    The smallest eigenvalue of the water's modes; `streams` per hemisphere.
+    The slowest mode of the transfer equation itself, without discrete directions: the smallest
+    K^2 at which the recurrence of its Legendre moments ends (Case & Zweifel 1967, section 4.6),
+    for a phase function of `moments` Legendre moments and a forward peak (delta-M).
     """
-    moments = 2 * streams
-    basis = flat_basis(streams, water.b_components.dtype)
 
-    def one(a, moments):
-        layer = do.scale_layer(a, moments, jnp.ones_like(a))
-        modes = do.layer_modes(layer, basis)
-        slowest = jnp.argmin(modes.k2)
-        return layer.extinction * jnp.sqrt(modes.matrix[slowest, slowest])
+    def one(a, scattering):
+        layer = do.scale_layer(a, scattering, jnp.ones_like(a))
+        scattered = jnp.concatenate([layer.gain, jnp.zeros(_TAIL, dtype=layer.gain.dtype)])
+        degree = jnp.arange(scattered.shape[0], dtype=scattered.dtype)
+        height = ((2 * degree + 1) * (1 - scattered)).at[0].set(layer.lost)
+
+        def ends(x):
+            """What the recurrence leaves at degree 0, x = (K/c)^2, and whether x is too large."""
+            # q_l = x l^2/(h_l - q_{l+1}), from what it tends to at high degrees.
+            last = (degree[-1] + 0.5) * (1 - safe_sqrt(1 - x))
+
+            def step(carry, values):
+                q, beyond = carry
+                h, l = values
+                rest = h - q
+                beyond = beyond | (rest <= 0)
+                return (x * l**2 / jnp.where(rest == 0, 1.0, rest), beyond), None
+
+            rows = (height[1:], degree[1:])
+            (q, beyond), _ = jax.lax.scan(step, (last, x > 1), rows, reverse=True)
+            return height[0] - q, beyond | (height[0] < q)
+
+        def halve(_, bounds):
+            low, high = bounds
+            middle = (low + high) / 2
+            beyond = ends(middle)[1]
+            return jnp.where(beyond, low, middle), jnp.where(beyond, middle, high)
+
+        bounds = (jnp.zeros_like(a), jnp.ones_like(a))
+        low, high = jax.lax.fori_loop(0, _HALVINGS, halve, bounds)
+        # Newton's step carries the derivatives; where hardly anything scatters K is c.
+        x = jax.lax.stop_gradient((low + high) / 2)
+        free = 1 - x < 1e-9
+        inside = jnp.where(free, 0.5, x)
+        left, slope = jax.jvp(lambda x: ends(x)[0], (inside,), (jnp.ones_like(x),))
+        root = jnp.where(free, 1.0, inside - left / jax.lax.stop_gradient(slope))
+        return layer.extinction * safe_sqrt(root)
 
     return jax.vmap(one)(water.a, water.scattering_moments(moments).T)
 

@@ -4,6 +4,8 @@
 
 20 wavelengths x 10 depths over a floor, 16 streams per hemisphere, float64 unless said; the water
 is a function of three constituents.  Times are processor seconds, the least of several runs.
+Last comes what the gradient of four-stream radiances takes to compile.  A run is written down in
+plane_parallel.md.
 """
 
 import os
@@ -22,8 +24,10 @@ from PythonicDISORT.pydisort import pydisort
 
 from oceaninv.iops import IOPs, Layers
 from oceaninv.light import Light
+from oceaninv.optics import Rays
 from oceaninv.phase import HenyeyGreenstein, Seawater
-from oceaninv.scene import Floor, Scene
+from oceaninv.scene import FlatSurface, Floor, Scene
+from oceaninv.transport.four_stream import FourStream
 from oceaninv.transport.plane_parallel import PlaneParallel
 
 WAVELENGTH = np.linspace(400.0, 700.0, 20)
@@ -98,6 +102,36 @@ def disort():
     return least(all_wavelengths, 5)
 
 
+def memory(count):
+    """Megabytes that the compiled program works in, for fluxes at `count` wavelengths."""
+
+    def fluxes(a):
+        water = IOPs(np.linspace(400, 700, count), a, 2 * a, HenyeyGreenstein(0.9))
+        given = Scene(water, Light(40.0, jnp.ones(count)))
+        return PlaneParallel(8).fluxes(given, jnp.asarray(DEPTHS)).Ed
+
+    compiled = jax.jit(fluxes).lower(jnp.full(count, 0.1)).compile()
+    return compiled.memory_analysis().temp_size_in_bytes / 1e6
+
+
+def four_stream():
+    """Seconds to compile the derivatives of radiances in a and b, (forward, reverse)."""
+    looks = jnp.asarray([[0.6, 0.0, 0.8], [0.0, 0.6, -0.8], [0.0, 0.8, 0.6]])
+
+    def radiance(p):
+        one = jnp.ones(4)
+        water = IOPs([450.0, 500.0, 550.0, 600.0], p[0] * one, p[1] * one, HenyeyGreenstein(0.9))
+        given = Scene(water, Light(40.0, one), FlatSurface(1.34))
+        return FourStream().radiance(given, Rays(jnp.asarray([0.0, 0.0, 2.0]), looks)).value
+
+    seconds = []
+    for derivative in (jax.jacfwd(radiance), jax.grad(lambda p: radiance(p).sum())):
+        start = time.process_time()
+        jax.jit(derivative).lower(jnp.asarray([0.1, 0.4])).compile()
+        seconds.append(time.process_time() - start)
+    return seconds
+
+
 def main():
     """Print one line per measurement, milliseconds per wavelength."""
     jax.config.update("jax_enable_x64", True)
@@ -112,6 +146,10 @@ def main():
         print(f"{streams} streams {run(streams)[0] * 50:.3f} ms/wl")
     for layers in (2, 4, 8):
         print(f"{layers} layers {run(layers=layers)[0] * 50:.3f} ms/wl")
+    for count in (20, 40, 80):
+        print(f"{count} wavelengths: working memory {memory(count):.3f} MB (8 streams)")
+    forward, reverse = four_stream()
+    print(f"four-stream radiance: gradient compiles in {forward:.1f} (forward), {reverse:.1f} s")
 
 
 if __name__ == "__main__":
