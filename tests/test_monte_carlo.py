@@ -375,6 +375,50 @@ def test_directions_keep_angle_azimuth_and_length():
         assert stats.chisquare(counts).pvalue > 1e-4
 
 
+def test_lanes_share_the_strata_of_every_number():
+    """Each lane of a unit has one stratum to itself; over units, one lane's numbers are uniform,
+    singly and in pairs, and so are those of two lanes and two events in different strata."""
+    words, units = _sampling.key_words(jax.random.key(8)), jnp.arange(2**14, dtype=jnp.uint32)
+    path = units[:, None] * jnp.uint32(32) + jnp.arange(32, dtype=jnp.uint32)[None]
+
+    def draw(event):
+        event = jnp.uint32(event)
+        u = _sampling.uniforms(path, event, words, jnp.float64)
+        return [np.asarray(v) for v in _sampling.spread(u, units, event, words)]
+
+    first, second = draw(0), draw(1)
+    for number in first:
+        strata = np.sort((32 * number).astype(int), axis=1)
+        np.testing.assert_array_equal(strata, np.tile(np.arange(32), (len(units), 1)))
+    pairs = [(first[i][:, 5], first[j][:, 5]) for i in range(4) for j in range(i)]
+    pairs += [(first[i][:, 5], second[j][:, 5]) for i in range(4) for j in range(4)]
+    pairs += [(first[0][:, 5], first[1][:, lane]) for lane in (0, 4, 21)]
+    for x, y in pairs:
+        counts, *_ = np.histogram2d(x, y, 16, ((0, 1), (0, 1)))
+        assert stats.chisquare(counts.ravel()).pvalue > 1e-4
+
+
+@pytest.mark.slow
+def test_similar_water_is_the_same_where_scattering_is_even():
+    """At g = 0 the switch changes nothing, not a derivative; elsewhere its error has no bound."""
+    key = jax.random.key(3)
+
+    def value(p, similar):
+        transport = oi.MonteCarlo(2**9, 16, similar=similar)
+        found = oi.radiance(nadir(p), down(), transport, key=key)
+        return found.value[0, 0], found.bias[0, 0]
+
+    p = A([0.065, 0.178, 1e-4, 0.3])
+    plain, bound = jax.jacfwd(lambda p: value(p, None)[0])(p), value(p, None)[1]
+    soft, unbound = jax.jacfwd(lambda p: value(p, 3)[0])(p), value(p, 3)[1]
+    np.testing.assert_allclose(value(p, 3)[0], value(p, None)[0], rtol=1e-2)
+    np.testing.assert_allclose(soft[jnp.array([0, 1, 3])], plain[jnp.array([0, 1, 3])], rtol=0.02)
+    assert np.isfinite(bound)
+    assert np.isnan(unbound)
+    with pytest.raises(ValueError, match="similar must be at least 1"):
+        oi.MonteCarlo(32, similar=0)
+
+
 def test_draws_of_neighbours_and_events_are_unrelated():
     """Correlation between the numbers of one draw, of neighbouring paths and of successive
     events, and the pairs' chi-squared on a grid."""
