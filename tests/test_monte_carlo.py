@@ -400,21 +400,15 @@ def test_lanes_share_the_strata_of_every_number():
 
 @pytest.mark.slow
 def test_similar_water_is_the_same_where_scattering_is_even():
-    """At g = 0 the switch changes nothing, not a derivative; elsewhere its error has no bound."""
-    key = jax.random.key(3)
-
-    def value(p, similar):
-        transport = oi.MonteCarlo(2**9, 16, similar=similar)
-        found = oi.radiance(nadir(p), down(), transport, key=key)
-        return found.value[0, 0], found.bias[0, 0]
-
-    p = A([0.065, 0.178, 1e-4, 0.3])
-    plain, bound = jax.jacfwd(lambda p: value(p, None)[0])(p), value(p, None)[1]
-    soft, unbound = jax.jacfwd(lambda p: value(p, 3)[0])(p), value(p, 3)[1]
-    np.testing.assert_allclose(value(p, 3)[0], value(p, None)[0], rtol=1e-2)
-    np.testing.assert_allclose(soft[jnp.array([0, 1, 3])], plain[jnp.array([0, 1, 3])], rtol=0.02)
-    assert np.isfinite(bound)
-    assert np.isnan(unbound)
+    """At g = 0 the switch changes nothing; elsewhere its error has no bound."""
+    p, key = A([0.065, 0.178, 1e-4, 0.3]), jax.random.key(3)
+    plain, soft = (
+        oi.radiance(nadir(p), down(), oi.MonteCarlo(2**9, 12, similar=n), key=key)
+        for n in (None, 3)
+    )
+    np.testing.assert_allclose(soft.value, plain.value, rtol=1e-2)
+    assert np.isfinite(plain.bias).all()
+    assert np.isnan(soft.bias).all()
     with pytest.raises(ValueError, match="similar must be at least 1"):
         oi.MonteCarlo(32, similar=0)
 

@@ -15,7 +15,7 @@ from oceaninv.transport import _paths, _walks, _weights
 from oceaninv.transport._converted import coloured, converted
 from oceaninv.transport._guard import fixed, fixed_scene
 from oceaninv.transport._paths import Lanes, Proposal
-from oceaninv.transport._sampling import spread, uniforms
+from oceaninv.transport._sampling import uniforms
 from oceaninv.transport._walks import GROUP, Plan, World
 from oceaninv.transport.base import Estimate
 
@@ -28,7 +28,6 @@ def _from_sky(world: World, unit: UInt32[Array, " unit"]):
     path = unit[:, None] * jnp.uint32(GROUP) + jnp.arange(GROUP, dtype=jnp.uint32)[None, :]
     words = world.words ^ jnp.uint32(_SKY)
     u = uniforms(path, jnp.uint32(0), words, world.proposal.rate.dtype)
-    u = spread(u, unit, jnp.uint32(0), words)
     above = jnp.sqrt(u[0])
     index = world.domain.refraction
     weight = jnp.ones_like(above)

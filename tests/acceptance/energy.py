@@ -20,7 +20,7 @@ from scipy import stats
 
 import oceaninv as oi
 
-BANDS = np.arange(390.0, 701.0, 20.0)
+BANDS = np.arange(390.0, 701.0, 25.0)
 ONE = jnp.ones(len(BANDS))
 SEAS = {
     "clear": oi.Constituents(chlorophyll=0.1, cdom=0.01, detritus=0.01),
@@ -63,7 +63,7 @@ def entering(scene):
 def z_of_budget(scene, depths, walks):
     """z of every flux that a budget and PlaneParallel both know, and the closure."""
     found = oi.energy_budget(scene, oi.MonteCarlo(walks, 64))
-    exact = oi.irradiance(scene, depths, oi.PlaneParallel(32))
+    exact = oi.irradiance(scene, depths, oi.PlaneParallel(24))
     down, up = np.asarray(exact.Ed.value), np.asarray(exact.Eu.value)
     net = down - up
     if scene.floor is None:
@@ -94,11 +94,11 @@ def orders(amounts, walks):
     scene = oi.Scene(water, SUN, SURFACE, inelastic=PROCESSES)
     plain = oi.Scene(water, SUN, SURFACE)
     values = {
-        0: oi.irradiance(plain, depths, oi.PlaneParallel(12)),
-        1: oi.irradiance(scene, depths, oi.PlaneParallel(12)),
-        2: oi.irradiance(scene, depths, oi.PlaneParallel(12, generations=2)),
+        0: oi.irradiance(plain, depths, oi.PlaneParallel(8)),
+        1: oi.irradiance(scene, depths, oi.PlaneParallel(8)),
+        2: oi.irradiance(scene, depths, oi.PlaneParallel(8, generations=2)),
     }
-    bound = float(oi.PlaneParallel(12, generations=2).inelastic_left(scene))
+    bound = float(oi.PlaneParallel(8, generations=2).inelastic_left(scene))
     z = []
     for generations in (1, 2):
         transport = oi.MonteCarlo(walks, 32, generations=generations)
