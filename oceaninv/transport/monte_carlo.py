@@ -43,10 +43,11 @@ class MonteCarlo(AbstractTransport):
     - `proposal`: what the walks are drawn from; `None` makes it from the scene.
     - `generations`: how often light may change its wavelength on its way to an irradiance or in an
       `energy_budget`.  Radiance follows one change (ValueError for more): what the second adds
-      is bounded by `PlaneParallel.inelastic_left` and measured in `tests/acceptance`.
+      is bounded by `PlaneParallel.inelastic_left`.
     - `similar`: after so many events the water counts as one that scatters evenly, and b (1 - g) as
       much (similarity theory; Frisvad et al. 2007, section 3), so that one event does the work of
-      1/(1 - g).  For white media; `bias` is nan then.  Elastic light only.
+      1/(1 - g).  For white media, one band at a time (`tests/acceptance/similarity.md`); `bias` is
+      nan then.  Elastic light only.
     - `progress`: a function of two whole numbers, called as every chunk of walks is done: its
       number, and how many there are.
 
