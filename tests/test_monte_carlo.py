@@ -314,6 +314,12 @@ def test_rays_and_depths_have_no_derivative():
         jax.jacfwd(lambda z: oi.irradiance(nadir(P), z, transport, key=key).Ed.value)(A(1.0))
 
 
+def test_an_unknown_error_stays_unknown_in_a_sum():
+    one, unknown = (oi.Estimate(A([1.0]), A([e]), A([0.0])) for e in (3.0, np.nan))
+    assert np.isnan(_walks.summed([one, unknown]).stderr).all()
+    np.testing.assert_allclose(_walks.summed([one, one]).stderr, np.sqrt(18.0))
+
+
 def test_bad_input_says_what_to_do():
     with pytest.raises(ValueError, match="paths must be at least 1"):
         oi.MonteCarlo(0)

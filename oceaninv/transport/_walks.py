@@ -228,4 +228,6 @@ def summed(parts: list[Estimate]) -> Estimate:
         jnp.sum(jnp.stack([getattr(part, name) for part in parts]), axis=0)
         for name in ("value", "bias")
     )
-    return Estimate(value, safe_sqrt(variance), bias)
+    # One group knows no error, and neither does a sum with one.
+    stderr = jnp.where(jnp.isnan(variance), jnp.nan, safe_sqrt(variance))
+    return Estimate(value, stderr, bias)
