@@ -29,8 +29,8 @@ def fit_within(
     solve: Callable[[AbstractTransport, np.ndarray | None], Fit],
     scene_of: Callable[[Fit], oi.Scene],
     demands: Sequence[Demand],
-) -> Fit:
-    """A fit through a transport that errs by at most `tolerance`.
+) -> tuple[Fit, AbstractTransport]:
+    """A fit through a transport that errs by at most `tolerance`, and that transport.
 
     The water is found by the cheapest rung, the plan is made for it, and checked again at the
     optimum of the planned rung: a dearer one follows where that is no longer enough.  Every search
@@ -77,7 +77,7 @@ def fit_within(
         "tried": tried,
         "kept": error <= tolerance,
     }
-    return dataclasses.replace(fit, metadata={**fit.metadata, "plan": plan})
+    return dataclasses.replace(fit, metadata={**fit.metadata, "plan": plan}), here
 
 
 def _dearness(found: tuple[AbstractTransport, float]) -> int:

@@ -176,7 +176,7 @@ def fit_photo(
         return scene_at(fit.parameters, fit.x, WAVELENGTH, sun)
 
     demands = [Demand("photograph", photo.depth, photo.response) for photo in photos]
-    return fit_within(tolerance, transport, solve, scene, demands)
+    return fit_within(tolerance, transport, solve, scene, demands)[0]
 
 
 def _starts(parameters, problem: PhotoProblem, count: int) -> Float[Array, "start unknown"]:

@@ -2,7 +2,6 @@
 
 import json
 
-import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -41,10 +40,11 @@ def test_the_plan_follows_the_water_that_is_found():
         starts.append(None if start is None else np.exp(start[0]))
         return _stand_in(0.03 if start is None else 20.0, transport)
 
-    fit = fit_within(0.01, None, solve, _scene, [DEMAND])
+    fit, used = fit_within(0.01, None, solve, _scene, [DEMAND])
     plan = fit.metadata["plan"]
     assert plan["tried"][0] == "TwoStream()"
     assert len(plan["tried"]) > 1
+    assert choice.rung(used) == plan["transport"] == plan["tried"][-1]
     assert starts[:2] == [None, pytest.approx(0.03)]
     assert plan["kept"]
     assert plan["predicted_error"] <= 0.01
@@ -55,7 +55,7 @@ def test_the_plan_follows_the_water_that_is_found():
 
 
 def test_a_tolerance_that_nothing_keeps_ends_with_the_best_rung_and_says_so():
-    fit = fit_within(1e-6, None, lambda t, _: _stand_in(20.0, t), _scene, [DEMAND])
+    fit, _ = fit_within(1e-6, None, lambda t, _: _stand_in(20.0, t), _scene, [DEMAND])
     assert not fit.metadata["plan"]["kept"]
     assert fit.metadata["plan"]["predicted_error"] > 1e-6
 
@@ -79,14 +79,14 @@ def test_a_transport_and_a_tolerance_exclude_each_other():
 
 
 @pytest.mark.slow
-def test_the_planned_fit_is_that_of_its_transport():
-    profile = constituent_cast(WAVELENGTH)[1]
-    planned = fit_profile(profile, tolerance=0.01)
-    assert planned.metadata["plan"]["kept"]
-    name = planned.metadata["plan"]["transport"]
-    assert name != "TwoStream()"
-    (transport,) = (t for t in choice.LADDERS["irradiance"] if choice.rung(t) == name)
-    straight = fit_profile(profile, transport=transport)
-    apart = (planned.x - straight.x) / np.sqrt(np.diag(straight.covariance))
-    assert np.max(np.abs(apart)) < 0.02
-    assert jnp.isfinite(planned.x).all()
+def test_the_planned_fit_is_that_of_the_exact_light():
+    """A cast of the exact light, whose noise averages out: the model's error alone would show."""
+    profile = constituent_cast(WAVELENGTH, transport=oi.PlaneParallel())[1]
+    planned = fit_profile(profile, tolerance=0.03)
+    plan = planned.metadata["plan"]
+    assert plan["kept"]
+    assert 0.0 < plan["largest_correction"] < 0.05
+    exact = fit_profile(profile, transport=oi.PlaneParallel())
+    for name in ("chlorophyll", "cdom", "detritus"):
+        i = exact.parameters.names.index(name)
+        assert abs(planned.x[i] - exact.x[i]) < 0.3 * exact.sd[name]

@@ -171,13 +171,13 @@ def test_statistics_of_three_hundred_casts(given):
         assert low <= s[f"coverage {level}"] <= high
 
 
-def constituent_cast(wavelength, seed=0):
+def constituent_cast(wavelength, seed=0, transport=None):
     """A cast made by the default model through the public front end, 3 % noise."""
     truth = {"chlorophyll": 1.2, "cdom": 0.12, "detritus": 0.05}
     water = oi.BioOpticalModel().iops(oi.Constituents(**truth), wavelength)
     scene = oi.Scene(water, oi.Light(35.0, jnp.ones(len(wavelength))), oi.FlatSurface())
     depth = np.linspace(0.3, 12.0, 30)
-    clean = np.asarray(oi.irradiance(scene, depth).Ed.value)
+    clean = np.asarray(oi.irradiance(scene, depth, transport).Ed.value)
     noise = np.random.default_rng(seed).standard_normal(clean.shape)
     profile = Profile(
         depth, wavelength, clean * (1 + 0.03 * noise), sigma=0.03 * clean, solar_zenith=35.0

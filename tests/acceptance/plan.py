@@ -130,12 +130,44 @@ def margins(sample: Sample) -> dict[str, float]:
 
 def _kept(sample: Sample, expected, margin, tolerance: float) -> float:
     """Share of the promised plans that keep their tolerance."""
+    return _outcome(sample, expected, margin, tolerance)[0]
+
+
+def _outcome(sample: Sample, expected, margin, tolerance: float) -> tuple[float, float, float]:
+    """Shares of promised plans that are kept and of plans that are promised; median cost of the
+    promised ones over the cheapest sufficient rung."""
     promised = np.stack([expected[n] + margin[n] <= np.log(tolerance) for n in sample.names])
     true = np.stack([sample.true[n] for n in sample.names])
-    chosen = np.argmax(promised, axis=0)
-    error = true[chosen, np.arange(len(chosen))]
-    some = promised.any(axis=0)
-    return float(np.mean(error[some] <= tolerance)) if some.any() else 1.0
+    cost = np.array([sample.cost[n] for n in sample.names])
+    chosen, some = np.argmax(promised, axis=0), promised.any(axis=0)
+    kept = true[chosen, np.arange(len(chosen))] <= tolerance
+    least = np.min(np.where(true <= tolerance, cost[:, None], np.inf), axis=0)
+    ratio = (cost[chosen] / least)[some & np.isfinite(least)]
+    if not some.any():
+        return 1.0, 0.0, np.nan
+    return float(kept[some].mean()), float(some.mean()), float(np.median(ratio))
+
+
+def crossed(found, all_cases) -> str:
+    """Table of plans for calibration scenes, each by models that have not seen it."""
+    lines = [
+        "# plan() on calibration scenes, cross-validated\n",
+        f"`python -m tests.acceptance.plan fit`: {len(all_cases)} scenes of seed "
+        f"{CALIBRATION_SEED} in {FOLDS} folds, each planned by error models that were fitted to "
+        "the others; only the margins, one number per quantity, are common to all.\n",
+        "| quantity | tolerance | kept, where promised | promised | cost / cheapest, median |",
+        "|---|---|---|---|---|",
+    ]
+    for quantity in QUANTITIES:
+        sample = Sample(found, all_cases, quantity)
+        expected, margin = {n: sample.unseen(n) for n in sample.names}, margins(sample)
+        for tolerance in TOLERANCES:
+            kept, promised, ratio = _outcome(sample, expected, margin, tolerance)
+            lines.append(
+                f"| {quantity} | {100 * tolerance:g} % | {kept:.3f} | {promised:.3f} | "
+                f"{ratio:.2f} |"
+            )
+    return "\n".join(lines) + "\n"
 
 
 def fit(found, all_cases) -> dict[tuple[str, str], errors.Model]:
@@ -264,6 +296,7 @@ def main():
     found, all_cases = collect(draws), cases(draws)
     if fitting:
         write(fit(found, all_cases))
+        Path(__file__).with_name("plan_calibration.md").write_text(crossed(found, all_cases))
         return
     report = table(found, all_cases)
     print(report)
