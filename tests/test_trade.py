@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import oceaninv as oi
-from fitting import cli, trade
-from fitting._ladder import ladder, references
+from fitting import cli, fit_trade, trade
+from fitting._ladder import Model, ladder, references, through
 from tests.test_cli import CAST
 
 SCENE = """
@@ -82,28 +82,44 @@ def test_every_dial_has_its_models(file):
 
 
 @pytest.mark.slow
-def test_trade_writes_rows_and_a_picture(file, tmp_path):
+def test_trade_writes_rows_and_a_picture(file, tmp_path, monkeypatch):
+    """A few of the models, beside a reference that is not the real one."""
+    few = {"printed closure", "TwoStream", "TwoStream, float32", "MonteCarlo(64, 4)"}
+    monkeypatch.setattr(
+        trade, "ladder", lambda *given: [model for model in ladder(*given) if model.name in few]
+    )
+    monkeypatch.setattr(
+        trade,
+        "references",
+        lambda _, quantity: [
+            Model(f"exact {n}", through(oi.PlaneParallel(n), quantity)) for n in (6, 4)
+        ],
+    )
     stem = tmp_path / "out"
-    code = cli.run(["trade", str(file), "-o", str(stem), "--repeats", "2"])
-    assert code == 0
+    assert cli.run(["trade", str(file), "-o", str(stem), "--repeats", "2"]) == 0
     lines = stem.with_suffix(".csv").read_text().splitlines()
-    rows = {row["model"]: row for row in csv.DictReader(lines[1:])}
-    error = {name: float(row["error"]) for name, row in rows.items()}
-    assert error["PlaneParallel(16, 16)"] < error["FourStream"] < error["printed closure"]
+    error = {row["model"]: float(row["error"]) for row in csv.DictReader(lines[1:])}
+    assert set(error) == few
+    # Measured: 0.045 and 4.2.
+    assert error["TwoStream"] < 0.1
+    assert error["printed closure"] > 1.0
     assert abs(error["TwoStream, float32"] / error["TwoStream"] - 1) < 1e-2
-    assert error["MonteCarlo(1024, 32)"] < error["MonteCarlo(64, 32)"]
     assert stem.with_suffix(".png").stat().st_size > 1000
 
 
 @pytest.mark.slow
-def test_the_trade_of_a_fit_names_shifts_and_savings(tmp_path):
+def test_the_trade_of_a_fit_names_shifts_and_savings(tmp_path, monkeypatch):
+    monkeypatch.setattr(fit_trade, "TRANSPORTS", (oi.TwoStream(), oi.FourStream()))
+    monkeypatch.setattr(fit_trade, "TOLERANCES", ())
     stem = tmp_path / "fit"
     assert cli.run(["trade", "--fit", CAST, "-o", str(stem), "--repeats", "1"]) == 0
-    rows = list(csv.DictReader(stem.with_suffix(".csv").read_text().splitlines()))
-    assert float(rows[4]["share_of_dearest"]) == 1.0
-    assert float(rows[4]["cdom_shift_sd"]) == 0.0
-    assert all(float(row["chlorophyll_shift_sd"]) < 0.3 for row in rows)
-    assert float(rows[0]["share_of_dearest"]) < 0.3
+    cheap, dear = csv.DictReader(stem.with_suffix(".csv").read_text().splitlines())
+    assert float(dear["share_of_dearest"]) == 1.0
+    assert float(dear["cdom_shift_sd"]) == 0.0
+    assert float(cheap["share_of_dearest"]) < 1.0
+    assert 0.0 < float(cheap["chlorophyll_shift_sd"]) < 0.3
+    assert float(cheap["cdom_low"]) < float(cheap["cdom"]) < float(cheap["cdom_high"])
+    assert stem.with_suffix(".png").stat().st_size > 1000
 
 
 def test_fits_take_one_file(capsys):

@@ -3,8 +3,9 @@
     python -m tests.acceptance.plan fit
     python -m tests.acceptance.plan
 
-The first fits the error models and their margins on `CALIBRATION` scenes and writes
-oceaninv/fidelity/errors.csv.  The second plans `TEST` scenes of another seed at tolerances of 10, 3
+The first fits the error models and their margins on `CALIBRATION` scenes, writes
+oceaninv/fidelity/errors.csv, and how plans for scenes of folds left out fare in
+plan_calibration.md.  The second plans `TEST` scenes of another seed at tolerances of 10, 3
 and 1 %, compares with what each rung really errs by and costs, prints the table and writes plan.md
 beside this file.  Seeded; about ten minutes of one core each.
 """
@@ -167,7 +168,7 @@ def crossed(found, all_cases) -> str:
                 f"| {quantity} | {100 * tolerance:g} % | {kept:.3f} | {promised:.3f} | "
                 f"{ratio:.2f} |"
             )
-    return "\n".join(lines) + "\n"
+    return "\n".join([*lines, *_rungs(found, all_cases)]) + "\n"
 
 
 def fit(found, all_cases) -> dict[tuple[str, str], errors.Model]:
@@ -215,7 +216,14 @@ def table(found, all_cases) -> str:
         for tolerance in TOLERANCES:
             lines.append(_row(sample, all_cases, tolerance))
         shares.append(_planning(sample, all_cases))
-    lines += [
+    lines += _rungs(found, all_cases)
+    lines += ["", *shares]
+    return "\n".join(lines)
+
+
+def _rungs(found, all_cases) -> list[str]:
+    """What each rung errs by, and costs."""
+    lines = [
         "\nWhat each rung errs by on these scenes, median / 95th percentile, and costs:\n",
         "| rung | irradiance | radiance | photograph | ms per scene |",
         "|---|---|---|---|---|",
@@ -230,8 +238,7 @@ def table(found, all_cases) -> str:
                 cells[quantity] = f"{np.median(e):.2g} / {np.quantile(e, 0.95):.2g}" if here else ""
             cost = 1e3 * found[key, name][2]
             lines.append(f"| {name} | {' | '.join(cells.values())} | {cost:.2g} |")
-    lines += ["", *shares]
-    return "\n".join(lines)
+    return lines
 
 
 def _row(sample: Sample, all_cases, tolerance: float) -> str:
