@@ -271,6 +271,9 @@ def _solve_constituents(layout: Parameters, prior: Prior, grid, transport, cast:
     return optimum, covariance(optimum.jacobian), quantities, slopes, model
 
 
+EXACT = oi.PlaneParallel()  # by which fits within a tolerance are corrected
+
+
 @kept
 def _lights(layout: Parameters, grid, transports, x, depth):
     return tuple(_model_ed(layout, grid, transport, x, depth) for transport in transports)
@@ -283,7 +286,7 @@ def _corrected(fit: Fit, transport: AbstractTransport, solve, profile: Profile) 
     estimate by more than its interval.  Its ratio to the exact light hardly depends on the water:
     twice one evaluation of that, and the cheap search goes on with it.
     """
-    exact, largest = oi.PlaneParallel(), 0.0
+    exact, largest = EXACT, 0.0
     if rung(transport) == rung(oi.PlaneParallel(exact.streams, 1)):
         return fit
     layout, grid = fit.parameters.layout(), tuple(profile.wavelength.tolist())
