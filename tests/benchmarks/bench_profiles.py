@@ -1,6 +1,6 @@
 """1,000 casts of 7 bands and 100 depths: one call against a loop of scipy's curve_fit.
 
-    python -m tests.benchmarks.bench_profiles [kd | waters | memory COUNT | cluster]
+    python -m tests.benchmarks.bench_profiles [kd | waters | memory COUNT]
 
 Processor time of both, in the same run, errors given; the first call, which compiles, apart.
 
@@ -9,16 +9,11 @@ Processor time of both, in the same run, errors given; the first call, which com
   them.  curve_fit gets the same unknowns, priors (as further data) and model, compiled by JAX for
   all depths and bands, and differences it itself, as users have it.
 - `memory`: peak resident memory of so many casts, Kd alone, that come one by one.
-- `cluster`: processor time per cast, files read and written, in this process and by one dask
-  worker, client included; from archives of 128 and 384 files, so that what starts once drops out.
 """
 
 import resource
 import sys
-import tempfile
 import time
-from pathlib import Path
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -28,7 +23,6 @@ from scipy.optimize import curve_fit
 import oceaninv as oi
 from fitting import Profile, fit_profiles, stream_profiles
 from fitting._waters import curve
-from fitting.archive import Task, fit_archive
 from fitting.parameters import Parameters, water_unknowns
 
 CASTS, BANDS, DEPTHS = 1000, 7, 100
@@ -127,48 +121,6 @@ def memory(count: int):
     print(f"{1e3 * (time.process_time() - start) / count:.2f} ms a cast")
 
 
-def cluster():
-    """Print what dask costs."""
-    from distributed import LocalCluster
-
-    def spent():
-        kinds = (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)
-        usages = [resource.getrusage(kind) for kind in kinds]
-        return sum(usage.ru_utime + usage.ru_stime for usage in usages)
-
-    rng, times, sizes = np.random.default_rng(0), {}, (128, 384)
-    with tempfile.TemporaryDirectory() as name:
-        folder = Path(name)
-        files = []
-        for i in range(sizes[-1]):
-            depth = np.linspace(0.2, 20.0, DEPTHS)
-            seen = np.exp(-np.linspace(0.05, 0.4, BANDS) * depth[:, None])
-            seen *= 1 + 0.05 * rng.standard_normal(seen.shape)
-            head = ",".join(["depth_m", *(f"Ed_{400 + 10 * k}" for k in range(BANDS))])
-            lines = [
-                ",".join(f"{v:.6g}" for v in (z, *r)) for z, r in zip(depth, seen, strict=True)
-            ]
-            files.append(folder / f"{i}.csv")
-            files[-1].write_text("\n".join(["# W m-2 nm-1", head, *lines]))
-        for size in sizes:
-            for kind in ("alone", "dask"):
-                task, start = Task(folder / f"{kind}{size}"), spent()
-                if kind == "alone":
-                    done = list(fit_archive(files[:size], task))
-                else:
-                    options = {"threads_per_worker": 1, "dashboard_address": None}
-                    made: Any = LocalCluster(1, **options)
-                    with made as local:
-                        done = list(fit_archive(files[:size], task, local.scheduler_address))
-                times[kind, size] = spent() - start
-                assert sum(outcome.casts for outcome in done) == size
-    for kind in ("alone", "dask"):
-        each = (times[kind, sizes[1]] - times[kind, sizes[0]]) / (sizes[1] - sizes[0])
-        print(
-            f"{kind}: {1e3 * each:.1f} ms a cast, {times[kind, sizes[0]]:.1f} s for the first 128"
-        )
-
-
 def main():
     """Print what was asked for."""
     jax.config.update("jax_enable_x64", True)
@@ -177,8 +129,6 @@ def main():
         waters()
     elif asked[0] == "memory":
         memory(int(asked[1]))
-    elif asked[0] == "cluster":
-        cluster()
     else:
         plain()
 
