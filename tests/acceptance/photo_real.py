@@ -1,0 +1,182 @@
+"""The photo fit on real readings: one frame developed twice, one grey patch at many depths.
+
+    python -m tests.acceptance.photo_real
+
+Needs ../shared/photos.  Prints tables and writes photo_real.md beside this file.
+
+- One frame of four DGK charts at 4.7-9.8 m, developed with two white balances that differ by a
+  full 3 x 3 matrix: each version fitted by itself, with the matrix unknown.  Patches by their
+  corners, clipped ones dropped by the program.
+- Readings of one neutral patch by one camera, 0.7-14.9 m deep: those down to 7.5 m are averaged in
+  bins and fitted, those below are predicted.
+"""
+
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+import oceaninv as oi
+from fitting import Background, Chart, Photo, fit_photo, read_photograph, read_range
+from fitting.charts import read_chart
+from fitting.cli import quick_compilation
+from fitting.photo import predict, prepare
+from fitting.posterior import quantile
+from fitting.solve import value_and_jacobian
+
+SHARED = Path(__file__).parents[3] / "shared" / "photos"
+# Column and row of the corners of the patches, by eye.
+CORNERS = {
+    "A": [[387.5, 298], [424, 300], [422.5, 321], [385.5, 319.5]],
+    "B": [[471.5, 290.5], [498.5, 294], [497.5, 309.5], [470.5, 306.5]],
+    "C": [[356.5, 263.5], [379.5, 264.5], [378.5, 278.5], [355.5, 277]],
+    "D": [[418.5, 256.5], [433.5, 257], [433.5, 267.5], [419, 266.5]],
+}
+ZENITH = {"A": 97.0, "B": 97.0, "C": 95.0, "D": 94.0}
+WATER = [(245, 150, 305, 172, 90.0), (395, 154, 445, 168, 90.0)]
+NOISE = 0.04
+SHALLOW, BIN = 7.5, 1.5
+# Scatter of ln(R/G) and ln(B/G) about a smooth curve of depth.
+SCATTER = np.array([0.036, 0.023])
+
+
+def frame(version: str):
+    """(photo, sentences) of one version of the frame."""
+    picture = read_photograph(SHARED / f"seathru_3374_{version}.png", "linear")
+    ranges = read_range(SHARED / "seathru_depth_3374.exr", picture.values.shape[:2])
+    charts, said = [], []
+    for name, corners in CORNERS.items():
+        found = read_chart(picture, corners, "DGK18")
+        column, row = np.round(found.outline.mean(axis=1)).astype(int).T
+        distance = float(np.nanmedian(ranges[row, column]))
+        charts.append(found.chart(distance, noise=NOISE, name=name, zenith=ZENITH[name]))
+        clipped = ", ".join(str(i + 1) for i in np.flatnonzero(found.clipped)) or "none"
+        said.append(f"{name} at {distance:.2f} m: clipped {clipped}")
+    windows = [picture.values[y0 : y1 + 1, x0 : x1 + 1] for x0, y0, x1, y1, _ in WATER]
+    values = np.stack([w.mean(axis=(0, 1)) for w in windows])
+    water = Background(values, [w[4] for w in WATER], NOISE * values)
+    photo = Photo(
+        charts,
+        [water],
+        response=oi.spectrum.camera_response("Nikon D810"),
+        depth=5.0,
+        depth_sd=0.4,
+        azimuth=180.0,
+        source=f"frame 3374, {version}",
+    )
+    return photo, said
+
+
+def two_versions() -> str:
+    lines = ["## One frame, developed twice\n"]
+    fits = {}
+    for version in ("bluegreen", "red"):
+        photo, said = frame(version)
+        fits[version] = fit_photo(photo, matrix=True)
+        fit = fits[version]
+        lines.append(
+            f"- {version}: {'; '.join(said)}; {fit.result}, reduced chi2 "
+            f"{fit.metadata['reduced_chi2']:.2f}, nearest Jerlov type "
+            f"{fit.metadata['nearest_jerlov_type']}."
+        )
+    lines += ["", "| quantity | " + " | ".join(fits) + " | difference of ln / its sd | "
+              "each value inside the other's 68 % |", "|---|---|---|---|---|"]  # fmt: skip
+    for name in ("Kd_490", "c_550", "a_cdm_440", "bb_550"):
+        one, two = (f.quantities[name] for f in fits.values())
+        apart = float(np.log(one.value / two.value))
+        cells = []
+        for q in (one, two):
+            low, high = q.interval(0.68)
+            cells.append(f"{float(q.value):.4f} ({float(low):.4f}-{float(high):.4f})")
+        inside = abs(apart) <= quantile(0.68) * min(float(one.sd), float(two.sd))
+        share = apart / np.hypot(float(one.sd), float(two.sd))
+        lines.append(
+            f"| {name} | {cells[0]} | {cells[1]} | {share:+.2f} | {'yes' if inside else 'no'} |"
+        )
+    return "\n".join(lines)
+
+
+def binned():
+    """(values (bin, 3), depths) of the shallow readings, and the deep ones one by one."""
+    table = np.loadtxt(SHARED / "grey_patch_vs_depth.csv", delimiter=",", comments="#")
+    depth, values = table[:, 3], table[:, :3]
+    rows = []
+    for start in np.arange(0.0, SHALLOW, BIN):
+        inside = (depth >= start) & (depth < start + BIN)
+        if inside.any():
+            # Brightness varies by an exposure that nobody wrote down: colour is what is averaged.
+            colour = np.log(values[inside]) - np.log(values[inside, 1:2])
+            rows.append((np.exp(colour.mean(axis=0)), depth[inside].mean(), inside.sum()))
+    return rows, values[depth >= SHALLOW], depth[depth >= SHALLOW]
+
+
+def one_patch(depth: float, values, count: float):
+    """A photograph of the patch alone, close to the camera, its brightness unknown."""
+    # Each channel's share of the scatter of the two ratios: green 1.4 %, red 3.3 %, blue 1.8 %.
+    scatter = np.array([0.033, 0.014, 0.018]) / np.sqrt(count)
+    values = np.asarray(values)[None]
+    chart = Chart(values, [0.18], 0.5, np.hypot(scatter, 0.005)[None] * values, distance_sd=0.5)
+    return Photo([chart], depth=depth, depth_sd=0.02, exposure=1.0, exposure_sd=1.0)
+
+
+def grey_patch() -> str:
+    shallow, seen, depth = binned()
+    photos = [one_patch(d, values, n) for values, d, n in shallow]
+    fit = fit_photo(photos)
+    # The deep ones in bins of depth for the prediction, which is smooth in it.
+    edges = np.linspace(depth.min(), depth.max(), 9)
+    deep = [one_patch(d, np.ones(3), 1.0) for d in edges]
+    _, readings, sunlight = prepare(deep, oi.TwoStream())
+    layout = fit.problem.layout
+
+    def colours(x):
+        values = layout.values(x)
+        rows = []
+        for p, one in enumerate(readings):
+            # The first photograph's nuisances serve at another depth.
+            here = {**values, f"depth_{p}": jnp.asarray(edges[p]),
+                    f"exposure_{p}": jnp.ones(()), f"chart_{p}_0": jnp.ones(()),
+                    f"range_{p}_0": values["range_0_0"]}  # fmt: skip
+            row = jnp.log(predict(here, one, oi.TwoStream(), sunlight, p)[0])
+            rows.append(jnp.stack([row[0] - row[1], row[2] - row[1]]))
+        return jnp.stack(rows)
+
+    middle, slope = jax.jit(lambda x: value_and_jacobian(colours, x))(jnp.asarray(fit.x))
+    variance = np.einsum("dqi,ij,dqj->dq", slope, fit.covariance, slope)
+    lines = [
+        "\n## One grey patch at many depths\n",
+        f"{len(photos)} bins down to {SHALLOW:g} m fitted ({fit.result}, reduced chi2 "
+        f"{fit.metadata['reduced_chi2']:.2f}), {len(depth)} readings below predicted; unknown "
+        "camera, patch taken to be 0.5 m away within a factor of 1.6.\n",
+        "| colour | sd of the prediction at 8 and 14 m | median error | median abs error | "
+        "68 % covers | 95 % covers |",
+        "|---|---|---|---|---|---|",
+    ]
+    measured = np.log(seen[:, [0, 2]] / seen[:, 1:2])
+    for k, name in enumerate(("ln(R/G)", "ln(B/G)")):
+        expected = np.interp(depth, edges, np.asarray(middle)[:, k])
+        own = np.sqrt(np.interp(depth, edges, variance[:, k]))
+        sd, error = np.hypot(own, SCATTER[k]), measured[:, k] - expected
+        cover = [np.mean(np.abs(error) <= quantile(level) * sd) for level in (0.68, 0.95)]
+        ends = np.interp([8.0, 14.0], edges, np.sqrt(variance[:, k]))
+        lines.append(
+            f"| {name} | {ends[0]:.3f}, {ends[1]:.3f} | {np.median(error):+.3f} | "
+            f"{np.median(np.abs(error)):.3f} | {cover[0]:.3f} | {cover[1]:.3f} |"
+        )
+    return "\n".join(lines)
+
+
+def main():
+    quick_compilation()
+    jax.config.update("jax_enable_x64", True)
+    report = "# Photo fit, real readings\n\n`python -m tests.acceptance.photo_real`\n\n"
+    for part in (two_versions, grey_patch):
+        found = part() + "\n"
+        print(found, flush=True)
+        report += found
+    Path(__file__).with_name("photo_real.md").write_text(report)
+
+
+if __name__ == "__main__":
+    main()
