@@ -85,8 +85,9 @@ def _sums(spheres: _Spheres, rows: int) -> _mie_sums.Sums:
 
 
 def _asymmetry(sums: _mie_sums.Sums) -> Array:
-    """Eq 26; 0 where nothing is scattered."""
-    return safe_ratio(2.0 * sums.cosine, sums.power)
+    """Eq 26; 0 where nothing is scattered, NaN for spheres out of range."""
+    ratio = safe_ratio(2.0 * sums.cosine, sums.power)
+    return jnp.where(jnp.isnan(sums.power), jnp.nan, ratio)
 
 
 def efficiencies(

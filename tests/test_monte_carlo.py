@@ -197,6 +197,7 @@ assert sorted(done) == [(i, done[0][1]) for i in range(done[0][1])], done
 """
 
 
+@pytest.mark.slow
 def test_devices_do_not_matter():
     """One device and two: the same walks, and every chunk is told of once."""
     found = {}

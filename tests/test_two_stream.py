@@ -365,6 +365,18 @@ def test_a_sky_lights_the_water_from_above(surface, worst):
     np.testing.assert_array_equal(alone.Ed.value, 0.0)
 
 
+def test_little_absorption_is_diffusion():
+    """Milk: Ed and Eu, which exceed the net flux many times, by the exact rung."""
+    b = jnp.asarray([0.99, 0.999, 0.9999])
+    water = oi.IOPs(np.arange(1.0, 4.0), 1.0 - b, b, oi.phase.HenyeyGreenstein(0.8))
+    scene = oi.Scene(water, oi.Light(40.0, jnp.ones(3)), oi.FlatSurface())
+    depths = jnp.asarray([0.0, 5.0, 20.0])
+    found, exact = (r.irradiance(scene, depths) for r in (oi.TwoStream(), oi.PlaneParallel(8)))
+    for name, worst in (("Ed", 0.13), ("Eu", 0.20)):
+        ratio = np.asarray(getattr(found, name).value / getattr(exact, name).value)
+        assert np.abs(ratio - 1).max() < worst
+
+
 def test_exact_reference_reproduces_published_radiances():
     """The reference itself against independent values (omega 0.8, HG 0.8, n = 1.34, floor, sky)."""
     from tests._disort import solve as slab
