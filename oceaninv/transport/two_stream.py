@@ -102,7 +102,7 @@ def _plane(field: Field, scene: Scene, depths):
     share = 1.0 - safe_ratio(sun, own)
     cosine = jnp.maximum(field.mu0 + share * (0.7 - field.mu0), 0.4)
     reflectance = irradiance_reflectance(a, bb, 1.0)[None, :] / cosine**1.314
-    floor_light = jnp.zeros_like(net)
+    floor_light = back = jnp.zeros_like(net)
     if scene.floor is not None:
         # The water between here and the floor shows less than endless water would; the floor
         # shows through.
@@ -115,15 +115,14 @@ def _plane(field: Field, scene: Scene, depths):
     surface = _own(field, jnp.zeros_like(depths[:1]))[0]
     level = jnp.maximum(safe_ratio(own, surface), float(np.finfo(a.dtype).tiny) ** 0.5)
     down = down * jnp.exp(_lag(field, a, -jnp.log(level)))
-    up = reflectance * down + floor_light
-    # Where next to nothing is absorbed (milk, foam) the fit of R ends and diffusion is right.
+    # Where next to nothing is absorbed (milk, foam) the fit of R ends and diffusion is right; near
+    # the floor Eu stays the floor's, as a difference it would be lost in single precision.
     x = jnp.clip((safe_ratio(bb, a + bb) - 0.5) / 0.25, 0.0, 1.0)
     diffusive = (x**2 * (3.0 - 2.0 * x))[None, :]
-    return (
-        down + diffusive * (own - down),
-        up + diffusive * (own - net - up),
-        scalar,
-    )
+    down = down + diffusive * (own - down)
+    up = reflectance * down + floor_light
+    up = up + diffusive * (1.0 - back) * (own - net - up)
+    return down, up, scalar
 
 
 def _lag(field: Field, a, q):
