@@ -99,6 +99,7 @@ def test_reflectance_above_and_below():
         apparent.radiance_above(given, -down)
 
 
+@pytest.mark.slow
 def test_skies():
     """A table of the cardioid is the cardioid; a flat one is uniform; both keep the irradiance."""
     direct, diffuse = jnp.zeros(2), jnp.ones(2)

@@ -35,6 +35,7 @@ def scene():
     return Photograph(values, values > 0, 0.0, 0.0, {}, "made"), distance, grey
 
 
+@pytest.mark.slow
 def test_the_water_comes_out_of_a_picture(tmp_path):
     picture, distance, grey = scene()
     found = restore(fitted(), picture, distance)
