@@ -37,7 +37,8 @@ class TwoStream(AbstractTransport):
     - **Measured error** (`tests/acceptance/two_stream_accuracy.md`, `two_stream_irradiance.md`):
       radiance median 6 %, 90th percentile 22 % beyond 20 degrees of the refracted sun; Ed to the
       1 % light level median 1 %, 90th percentile 4 %, with or without sky light; E0 2 %; Eu 7 %;
-      Ed and Eu within 20 % up to albedo 0.9999.
+      Ed and Eu within 20 % up to albedo 0.9999.  Single precision loses up to 1 % of Ed at a floor
+      some 1e4 transport lengths down (`tests/acceptance/extremes.md`).
     - **Differentiable in** everything, forward and reverse.  In endlessly deep water the true
       derivative in a is infinite at a = 0; it is finite here.
 
