@@ -92,8 +92,8 @@ def _unknowns(photos: Sequence[Photo], matrix: bool) -> Parameters:
         *shape_nuisances(),
         Parameter("solar_zenith", max(sun, 1.0), 0.1, Log(), "degree", True),
         Parameter("sunlight_tilt", 0.0, 0.05, Identity(), "1", True),
-        # What the closed form gets wrong in Kd to 10 % light: its error in Ed over 200 random
-        # waters, 10 % in the median and 37 % at the 95th percentile down to 1 % light, over 4.6.
+        # What the closed form gets wrong in Kd.  Set by an Ed that erred more than today's; kept,
+        # because the coverage in photo_mismatched.md was measured with it.
         Parameter("closure", 0.0, 0.035, Identity(), "1", True),
         # The error of the closed-form path radiance, per channel.
         *(Parameter(f"veil_{c}", 1.0, 0.06, nuisance=True) for c in "RGB"),
