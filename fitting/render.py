@@ -121,10 +121,8 @@ def draw(
 
 def channels(found: oi.SceneFile, radiance: np.ndarray) -> np.ndarray:
     """Linear channel values (row, column, channel) of the file's camera."""
-    light = oi.spectrum.daylight_table() if found.daylight else None
-    return (
-        radiance @ np.asarray(found.camera.response.smooth_weights(found.scene.wavelength, light)).T
-    )
+    response, wavelength = found.camera.response, found.scene.wavelength
+    return radiance @ np.asarray(response.smooth_weights(wavelength, found.fine_light)).T
 
 
 def display_matrix(response: oi.spectrum.Response) -> np.ndarray:

@@ -34,16 +34,33 @@ LEVEL = 0.95
 def whole(path: str | Path) -> Iterator[Path]:
     """A temporary name beside `path` that becomes `path` only when the block ends well."""
     path = Path(path)
-    if not path.parent.is_dir():
-        raise ValueError(f"cannot write {path}: the folder {path.parent} does not exist.")
-    handle, name = tempfile.mkstemp(suffix=path.suffix, prefix=f".{path.stem}-", dir=path.parent)
-    os.close(handle)
+    name = _draft(path)
     try:
         yield Path(name)
         os.chmod(name, 0o644)
         os.replace(name, path)
     finally:
         Path(name).unlink(missing_ok=True)
+
+
+def check_writable(path: str | Path) -> None:
+    """ValueError, before the work, where `whole` could not write."""
+    Path(_draft(Path(path))).unlink()
+
+
+def _draft(path: Path) -> str:
+    """An empty file beside `path`; ValueError where there can be none."""
+    if not path.parent.is_dir():
+        raise ValueError(f"cannot write {path}: the folder {path.parent} does not exist.")
+    if path.is_dir():
+        raise ValueError(f"cannot write {path}: a folder has that name.")
+    prefix = f".{path.stem}-"
+    try:
+        handle, name = tempfile.mkstemp(suffix=path.suffix, prefix=prefix, dir=path.parent)
+    except OSError as error:
+        raise ValueError(f"cannot write {path}: {error.strerror}.") from None
+    os.close(handle)
+    return name
 
 
 def dataset(fit: Fit) -> "xarray.Dataset":

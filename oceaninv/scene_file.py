@@ -1,5 +1,6 @@
 """Scenes from toml files.  `scenes/README.md` lists every key."""
 
+import contextlib
 import dataclasses
 import warnings
 from pathlib import Path
@@ -25,9 +26,9 @@ class SceneFile:
     """What a scene file describes.
 
     `scene`, `camera`, `sensor`: as their classes say.  `kd`: (wl,) the measured Kd of a water that
-    was given by one, for `KdTransport(kd)`; `None` otherwise.  `title`: text.  `daylight`: whether
-    all light is D65, whose fine structure `Response.smooth_weights` may use.  `ranges`: a range map
-    for `photograph(..., ranges=)`, or `None`.
+    was given by one, for `KdTransport(kd)`; `None` otherwise.  `title`: text.  `fine_light`: the
+    table of D65 where all light is that, `ranges`: a range map, each for `photograph` by that name,
+    or `None`.
     """
 
     scene: Scene
@@ -35,7 +36,7 @@ class SceneFile:
     sensor: Sensor
     kd: np.ndarray | None
     title: str
-    daylight: bool
+    fine_light: tuple[np.ndarray, np.ndarray] | None = None
     ranges: RangeMap | None = None
 
 
@@ -51,8 +52,10 @@ def load_scene(path: str | Path, *, bands: int | None = None) -> SceneFile:
     wavelength = _bands(file.section("bands"), bands)
     title = file.text("title", default=Path(path).stem)
     day = file.section("light").text("spectrum", default="D65") == "D65"
-    water, kd = read_water(file.section("water"), wavelength)
-    light, azimuth = _light(file.section("light"), wavelength)
+    with _naming(path, "water"):
+        water, kd = read_water(file.section("water"), wavelength)
+    with _naming(path, "light"):
+        light, azimuth = _light(file.section("light"), wavelength)
     surface = None
     if file.has("surface"):
         table = file.section("surface")
@@ -64,12 +67,16 @@ def load_scene(path: str | Path, *, bands: int | None = None) -> SceneFile:
     floor = None
     if file.has("floor"):
         table = file.section("floor")
-        floor = Floor(table.number("depth_m", 1e-3, 1e4), _reflectance(table, wavelength))
+        with _naming(path, "floor"):
+            floor = Floor(table.number("depth_m", 1e-3, 1e4), _reflectance(table, wavelength))
         table.finish()
     turn = _Turn(azimuth)
-    objects = [_object(table, wavelength, turn) for table in file.sections("objects")]
-    lamps = [_lamp(table, wavelength, turn) for table in file.sections("lamps")]
-    camera, sensor = _camera(file.section("camera"), wavelength, turn)
+    with _naming(path, "objects"):
+        objects = [_object(table, wavelength, turn) for table in file.sections("objects")]
+    with _naming(path, "lamps"):
+        lamps = [_lamp(table, wavelength, turn) for table in file.sections("lamps")]
+    with _naming(path, "camera"):
+        camera, sensor = _camera(file.section("camera"), wavelength, turn)
     depth = float(camera.position[2])
     if depth < 0:
         raise file.section("camera").error(
@@ -84,18 +91,30 @@ def load_scene(path: str | Path, *, bands: int | None = None) -> SceneFile:
         )
     ranges = None
     if file.has("range_map"):
-        ranges = _ranges(file.section("range_map"), wavelength)
+        with _naming(path, "range_map"):
+            ranges = _ranges(file.section("range_map"), wavelength)
         if objects or lamps or (surface is not None and surface.waves is not None):
             raise ValueError(
                 f"{path}: a range_map holds all things that are seen: it goes without objects,"
                 " lamps and waves."
             )
     file.finish()
-    try:
+    with _naming(path):
         scene = Scene(water, light, surface, floor, objects, lamps)
-    except ValueError as error:
-        raise ValueError(f"{path}: {error}") from None
-    return SceneFile(scene, camera, sensor, kd, title, day and not lamps, ranges)
+    fine_light = spectrum.daylight_table() if day and not lamps else None
+    return SceneFile(scene, camera, sensor, kd, title, fine_light, ranges)
+
+
+@contextlib.contextmanager
+def _naming(path: str | Path, table: str = ""):
+    """Names the file and its table in errors of rooms that know neither."""
+    try:
+        yield
+    except (ValueError, ImportError) as error:
+        if str(error).startswith(str(Path(path))):
+            raise
+        place = f"{path}: {table}: " if table else f"{path}: "
+        raise ValueError(f"{place}{error}") from None
 
 
 def _bands(table: Section, count: int | None) -> np.ndarray:

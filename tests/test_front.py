@@ -40,7 +40,7 @@ def test_photograph_is_weighted_radiance():
     """Through jit: linear channel values are radiance times the response's weights."""
     picture, seen = _pictured(_scene())
     assert picture.value.shape == picture.stderr.shape == picture.bias.shape == (2, 3, 3)
-    weights = np.asarray(_camera().response.weights(WAVELENGTH))
+    weights = np.asarray(_camera().response.smooth_weights(WAVELENGTH))
     expected = np.asarray(seen.value) @ weights.T
     np.testing.assert_allclose(picture.value.reshape(6, 3), expected, rtol=1e-13)
     np.testing.assert_array_equal(picture.stderr, 0.0)

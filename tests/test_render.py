@@ -1,6 +1,7 @@
 """The command `oceaninv render`: files, layers, metadata, refusals."""
 
 import json
+import os
 
 import jax.numpy as jnp
 import numpy as np
@@ -82,6 +83,16 @@ def test_command_writes_exr_with_layers(scene, tmp_path, drawn):
     assert note["transport"] == "TwoStream"
     assert (note["seed"], note["scene"]) == (5, "ball.toml")
     assert [p.name for p in tmp_path.iterdir()] == ["ball.exr"]
+
+
+def test_photograph_is_what_the_command_draws(drawn):
+    """The same weights in both, of the fine structure of daylight, too."""
+    found, picture, _ = drawn
+    again = oi.photograph(found.scene, found.camera, fine_light=found.fine_light).value
+    expected = render.channels(found, picture.radiance)
+    np.testing.assert_allclose(again, expected, rtol=1e-5, atol=1e-6 * expected.max())
+    smooth = oi.photograph(found.scene, found.camera).value
+    assert np.max(np.abs(smooth / again - 1)) > 1e-3
 
 
 def test_spectral_exr(tmp_path, drawn):
@@ -184,6 +195,22 @@ def test_unwritable_output(scene, tmp_path, capsys):
     assert [p.name for p in tmp_path.iterdir()] == ["x.png"]
 
 
+@pytest.mark.parametrize("place", ["locked", "/proc"])
+def test_read_only_folder(scene, tmp_path, capsys, monkeypatch, place):
+    """Refused before anything is drawn."""
+    folder = tmp_path / place  # "/proc" stays "/proc"
+    if place == "locked":
+        folder.mkdir(mode=0o555)
+        if os.geteuid() == 0:
+            pytest.skip("root writes into any folder")
+    elif not folder.is_dir():
+        pytest.skip("no such folder on this system")
+    monkeypatch.setattr(render, "draw", None)
+    for name in ("x.png", "x.exr"):
+        assert cli.run(["render", str(scene), "-o", str(folder / name)]) == 3
+        assert f"cannot write {folder / name}: " in capsys.readouterr().err
+
+
 def test_animation(scene, tmp_path):
     path = tmp_path / "up.png"
     arguments = ["-o", str(path), "--animate", "2", "--rise", "2"]
@@ -244,9 +271,10 @@ def test_range_map(tmp_path, ranged, drawn):
     direct, expected = (p.radiance - p.veil for p in (picture, whole))
     centre = met.shape[0] // 2, met.shape[1] // 2
     np.testing.assert_allclose(direct[centre], expected[centre], rtol=0.05)
-    again = oi.photograph(found.scene, found.camera, ranges=found.ranges).value
-    linear = picture.radiance @ np.asarray(found.camera.response.weights(found.scene.wavelength)).T
-    np.testing.assert_allclose(again, linear, rtol=1e-5)
+    again = oi.photograph(
+        found.scene, found.camera, ranges=found.ranges, fine_light=found.fine_light
+    ).value
+    np.testing.assert_allclose(again, render.channels(found, picture.radiance), rtol=1e-5)
     assert cli.run(["render", str(ranged), "-o", str(tmp_path / "r.png")]) == 0
 
 

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import oceaninv as oi
+from oceaninv import _toml_section, water_file
 
 SCENES = sorted((Path(__file__).parents[1] / "scenes").glob("*.toml"))
 TEXT = """
@@ -110,6 +111,68 @@ chlorophyll_mg_m3 = 2"""
     assert isinstance(layered.scene.water, oi.Layers)
 
 
+def test_light_lamps_and_response_from_tables(tmp_path):
+    """A measured sun, a lamp with a spectrum and a camera given by csv."""
+    (tmp_path / "sun.csv").write_text("wavelength_nm,value\n400,1\n700,4\n")
+    (tmp_path / "eye.csv").write_text("wavelength_nm,grey\n400,0\n550,1\n700,0\n")
+    lamp = """[[lamps]]
+kind = "spot"
+position_m = [1, 0, 4]
+direction = [0, 2, 0]
+half_angle_deg = 20
+intensity_w_sr_nm = 2
+[camera]
+response = "eye.csv"
+flat_port_index = 1.34"""
+    found = _load(
+        tmp_path,
+        ("sun_zenith_deg = 30", 'sun_zenith_deg = 30\nspectrum = "sun.csv"\nscale = 2'),
+        ("[camera]", lamp),
+    )
+    centres = np.array([437.5, 512.5, 587.5, 662.5])
+    np.testing.assert_allclose(found.scene.light.direct, 2 * (1 + (centres - 400) / 100))
+    assert found.fine_light is None
+    np.testing.assert_allclose(found.scene.lamps[0].intensity, 2.0)
+    np.testing.assert_allclose(found.scene.lamps[0].direction, [0.0, 1.0, 0.0])
+    assert found.camera.response.channels == ("grey",)
+    assert float(found.camera.port_index) == 1.34
+
+
+MEDIA = {
+    'medium = "milk"\nfat_percent = 1\nprotein_percent = 3': lambda: oi.media.milk(1.0, 3.0),
+    'medium = "ice"\nair_fraction = 1e-3': lambda: oi.media.ice(air=1e-3),
+    'medium = "natural water"\nsea = "Baltic"': lambda: oi.media.natural_water("Baltic"),
+}
+
+
+@pytest.mark.parametrize("keys", MEDIA)
+def test_media(tmp_path, keys):
+    """The medium that a file asks for; what it does to light is tested with `media`."""
+    (tmp_path / "water.toml").write_text(keys)
+    found = water_file._medium(_toml_section.read(tmp_path / "water.toml"))
+    pairs = zip(jax.tree.leaves(found), jax.tree.leaves(MEDIA[keys]()), strict=True)
+    assert all(np.array_equal(one, other) for one, other in pairs)
+
+
+def test_reef_is_its_range_map():
+    """The range map is what the camera of the height field sees, to half a millimetre."""
+    scenes = Path(__file__).parents[1] / "scenes"
+    reef, ranged = (oi.load_scene(scenes / f"{n}.toml", bands=2) for n in ("reef", "reef_range"))
+    some = slice(17, None, 97)
+    rays, again = reef.camera.rays(), ranged.camera.rays()
+    np.testing.assert_array_equal(rays.direction, again.direction)
+    meet = jax.jit(jax.vmap(lambda o, d: oi.objects.nearest(reef.scene.objects, o, d).distance))
+    distance = np.asarray(meet(rays.origin[some], rays.direction[some]))
+    fall = np.asarray(rays.direction[some, 2])
+    sand = np.where(fall > 0, (6.0 - 3.9) / np.where(fall > 0, fall, 1.0), np.inf)
+    distance = np.minimum(distance, sand)
+    known = np.asarray(ranged.ranges.distance).ravel()[some]
+    assert 50 < np.sum(np.isinf(distance)) < 150
+    np.testing.assert_allclose(
+        known, np.where(np.isinf(distance), 0.0, distance), rtol=1e-6, atol=2.6e-4
+    )
+
+
 def test_water_from_kd(tmp_path):
     """The a and b that were found give the measured Kd back, by the model that was inverted."""
     (tmp_path / "kd.csv").write_text("wavelength_nm,kd_per_m\n400,0.1\n500,0.07\n700,0.7\n")
@@ -165,6 +228,20 @@ def test_water_from_kd(tmp_path):
         ('title = "test"', 'titel = "test"', "titel means nothing here. Did you mean title"),
         ("[bands]", "[bands", "is not a toml file"),
         ("count = 4", 'count = 9\nspacing = "cameras"', "known for 8 on 400-650 nm; .* not for 9"),
+        ("[floor]", "[flor]", r"scene.toml: flor means nothing here. Did you mean floor\?"),
+        ("radius_m = 0.5", "radius_cm = 50", r"objects\[0\].radius_m is missing; it must be a num"),
+        ("fov_deg = 60", "fov_deg = 60\nexposre = 2", "exposre means .* Did you mean exposure"),
+        ('"orange"', "1.5", r"objects\[0\].reflectance is 1.5; .* at most 1"),
+        ('"orange"', '"none.csv"', r"scene.toml: objects\[0\].reflectance .* does not exist"),
+        ('"orange"', '"white"\nreflectance_scale = 2', "between 0 and 1, not 1."),
+        ("fov_deg = 60", 'fov_deg = 60\nresponse = "none.csv"', "camera.response is .*not exist"),
+        ("count = 4", "from_nm = 250", "scene.toml: water: Table IOCCG2018 covers 300-800 nm"),
+        ("diffuse_share = 0.25", 'spectrum = "scene.toml.csv"', "light.spectrum is .* not exist"),
+        (
+            "sun_zenith_deg = 30\ndiffuse_share = 0.25",
+            'sun_zenith_deg = 88\nspectrum = "clear sky"',
+            "scene.toml: light: zenith must be .* between 0 and 85",
+        ),
         ("[floor]", "[surface.waves]\nslope = 0.4\n[floor]", "surface.waves.slope is 0.4"),
         ("[floor]", "[surface.waves]\ntile_m = 1\n[floor]", "surface.waves: wave lengths need"),
     ],

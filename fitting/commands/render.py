@@ -44,14 +44,11 @@ def render_command(
     from rich.progress import Progress
 
     from fitting import render
+    from fitting.report import check_writable
     from oceaninv import load_scene
 
     if output.suffix.lower() not in (".exr", ".tif", ".tiff", ".png"):
         raise ValueError(f"--output is {output}; it must end in .exr, .tif or .png.")
-    if not output.parent.is_dir():
-        raise ValueError(f"cannot write {output}: the folder {output.parent} does not exist.")
-    if output.is_dir():
-        raise ValueError(f"cannot write {output}: a folder has that name.")
     if bands is not None and bands < 2:
         raise ValueError(f"--bands is {bands}; at least 2 are needed.")
     if steps < 1 or paths < 1:
@@ -66,6 +63,8 @@ def render_command(
     frames = [(output, found)]
     if animate is not None:
         frames = _frames(found, output, animate, rise, seconds)
+    for target, _ in frames:
+        check_writable(target)
     with Progress(console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task(found.title, total=len(frames))
         for i, (target, frame) in enumerate(frames):

@@ -5,6 +5,8 @@ import jax
 import jax.core
 import jax.numpy as jnp
 import numpy as np
+from jax.typing import ArrayLike
+from jaxtyping import Array, Float
 
 from oceaninv.camera import Camera
 from oceaninv.optics import Rays
@@ -84,27 +86,32 @@ def photograph(
     transport: AbstractTransport | None = None,
     *,
     ranges: RangeMap | None = None,
+    fine_light: tuple[ArrayLike, ArrayLike] | None = None,
     key=None,
 ) -> Estimate:
     """Linear channel values of a photograph, (row, column, channel).
 
-    Radiance is taken as linear between the scene's wavelengths and integrated against the
-    camera's response (unit: radiance x response x nm).  Objects and lamps are drawn by
-    `Shadows` around a transport that does not know them.  `ranges` (keyword only): a range map of
-    this camera, whose things any transport lights and sees through the water.
+    Radiance is taken as smooth between the scene's wavelengths and integrated against the
+    camera's response by `Response.smooth_weights` (unit: radiance x response x nm).  Objects and
+    lamps are drawn by `Shadows` around a transport that does not know them.  Keyword only:
+    `ranges`: a range map of this camera, whose things any transport lights and sees through the
+    water; `fine_light`: (nm, values) of a light whose structure between the bands is known, for
+    instance `spectrum.daylight_table()`; by default light is smooth, too.
 
     Raises ValueError as `radiance` does, and for a range map beside objects, lamps or waves.
     """
-    rays = camera.rays()
-    check_rays(scene, rays)
+    scene.check_depths(camera.position[2:])
+    weights = camera.response.smooth_weights(scene.wavelength, fine_light)
+    weights = weights.T.astype(scene.light.direct.dtype)
     if ranges is not None:
         check_ranges(scene, ranges)
         seen = ranges.seen_by(camera)
         base = TwoStream() if transport is None else transport
-        estimate = ranged_radiance(scene, rays, seen, ranges.reflectance, base, key)
-        return _channels(scene, camera, estimate)
-    transport = _able(scene, transport)
-    return _photograph(scene, camera, rays, transport, key)
+        estimate = ranged_radiance(scene, camera.rays(), seen, ranges.reflectance, base, key)
+        return _channels(camera, weights, estimate)
+    if scene.surface is not None and scene.surface.waves is not None:
+        check_rays(scene, camera.rays())
+    return _photograph(scene, camera, weights, _able(scene, transport), key)
 
 
 def check_ranges(scene: Scene, ranges: RangeMap) -> None:
@@ -123,8 +130,7 @@ def check_ranges(scene: Scene, ranges: RangeMap) -> None:
 
 
 @eqx.filter_jit
-def _channels(scene: Scene, camera: Camera, seen: Estimate) -> Estimate:
-    weights = jnp.asarray(camera.response.weights(scene.wavelength), seen.value.dtype).T
+def _channels(camera: Camera, weights: Float[Array, "wl channel"], seen: Estimate) -> Estimate:
     shape = (camera.height, camera.width, weights.shape[1])
     worst = jnp.abs(weights)
     parts = (seen.value @ weights, seen.stderr @ worst, seen.bias @ worst)
@@ -135,9 +141,8 @@ _PIECE = 2**15  # rays
 
 
 @eqx.filter_jit
-def _photograph(scene: Scene, camera: Camera, rays: Rays, transport, key) -> Estimate:
-    dtype = scene.light.direct.dtype
-    weights = jnp.asarray(camera.response.weights(scene.wavelength), dtype=dtype).T
+def _photograph(scene: Scene, camera: Camera, weights, transport, key) -> Estimate:
+    dtype, rays = scene.light.direct.dtype, camera.rays()
     origin, direction = rays.origin.astype(dtype), rays.direction.astype(dtype)
 
     def channels(origin, direction):

@@ -40,6 +40,7 @@ def grids(count: int):
     equal = oi.spectrum.bands(count, 400, 650)
     yield "linear", equal
     yield "smooth", equal
+    yield "smooth, light unknown", equal
     if count in (8, 12):
         yield "smooth, camera_bands", oi.spectrum.camera_bands(count, 400, 650)
 
@@ -121,11 +122,11 @@ def run() -> str:
         coarse = radiances(few_grid) if "camera_bands" in kind else drawn[count]
         differences, rms = [], []
         for response, matrix, exact in known:
-            found = (
-                response.weights(few_grid)
-                if kind == "linear"
-                else response.smooth_weights(few_grid, light)
-            )
+            if kind == "linear":
+                found = response.weights(few_grid)
+            else:
+                known_light = None if kind.endswith("unknown") else light
+                found = response.smooth_weights(few_grid, known_light)
             weights = [np.asarray(found).T, exact]
             white = matrix @ (weights[1].T @ daylight) / np.pi
             for few, many in zip(coarse, fine, strict=True):

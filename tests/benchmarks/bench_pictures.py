@@ -4,7 +4,8 @@
 
 The multiple-scattering term of the printed size (Monzon et al. 2024, eq 9) by XLA and by a numba
 kernel of the same formula that runs on every core; the whole picture by the two-stream rung; cost
-in the number of bands; and the price of a forward-mode gradient.  Best of several runs.
+in the number of bands (in steps of eight, the width of a processor's vectors); and the price of a
+forward-mode gradient.  Best of several runs; pictures.md is what it printed.
 """
 
 import os
@@ -28,6 +29,11 @@ import oceaninv as oi
 from oceaninv.transport.kd import monzon2024
 
 WIDTH, HEIGHT = 1920, 1080
+
+
+def cores() -> int:
+    """Those that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def best(call, repeats=5):
@@ -114,13 +120,13 @@ def shown(times) -> str:
 
 
 if __name__ == "__main__":
-    print(f"{os.cpu_count()} cores, load {os.getloadavg()[0]:.1f}")
+    print(f"{cores()} cores, load {os.getloadavg()[0]:.1f}")
     xla, by_hand, difference = printed_size()
     print(f"printed-size term, 8 bands: XLA {shown(xla)}, numba {shown(by_hand)}, apart by"
           f" {difference:.0e}")  # fmt: skip
     full = camera(WIDTH, HEIGHT)
     costs = []
-    for bands in (4, 8, 16):
+    for bands in (8, 16, 24, 32):
         shot = scene(bands)
         costs.append((bands, *best(lambda s=shot: oi.photograph(s, full).value, 3)))
         print(f"two-stream picture, {bands} bands: {shown(costs[-1][1:])}", flush=True)
