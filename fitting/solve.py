@@ -12,7 +12,7 @@ from jaxtyping import Array, Float, Int
 Residual = Callable[[Float[Array, " unknown"], Any], Float[Array, " residual"]]
 
 # Standard deviations from the optimum at which a search counts as converged.
-_REMAINING = 1e-3
+REMAINING = 1e-3
 
 RESULTS = {
     0: "converged",
@@ -108,7 +108,7 @@ def least_squares(
     downhill = jnp.where(finite, value @ slope, 0.0)
     usable = jnp.where(finite, slope, 0.0)
     remaining = downhill @ covariance(usable) @ downhill
-    code = jnp.where(finite, jnp.where(remaining <= _REMAINING**2, 0, 1), 2)
+    code = jnp.where(finite, jnp.where(remaining <= REMAINING**2, 0, 1), 2)
     return Optimum(start + unit * solution.value, value, slope, code.astype(jnp.int32))
 
 
