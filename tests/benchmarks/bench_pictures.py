@@ -114,6 +114,16 @@ def gradient_cost(size=256, bands=8):
     return best(lambda: plain(at), 3), best(lambda: slopes(at), 3)
 
 
+def operations(bands=8) -> tuple[float, float]:
+    """Arithmetic operations and exponentials (and their like) per pixel and band, by the compiler's
+    count, of a picture that fits one piece."""
+    small, shot = camera(192, 108), scene(bands)
+    program = jax.jit(lambda s: oi.photograph(s, small).value).lower(shot).compile()
+    found = program.cost_analysis()
+    each = 192 * 108 * bands
+    return found["flops"] / each, found["transcendentals"] / each
+
+
 def shown(times) -> str:
     """Wall and processor seconds as text."""
     return f"{times[0]:.3f} s ({times[1]:.3f} processor s)"
@@ -124,6 +134,9 @@ if __name__ == "__main__":
     xla, by_hand, difference = printed_size()
     print(f"printed-size term, 8 bands: XLA {shown(xla)}, numba {shown(by_hand)}, apart by"
           f" {difference:.0e}")  # fmt: skip
+    sums, exponentials = operations()
+    print(f"two-stream picture: {sums:.0f} operations, {exponentials:.0f} of them exponentials"
+          " or the like, per pixel and band")  # fmt: skip
     full = camera(WIDTH, HEIGHT)
     costs = []
     for bands in (8, 16, 24, 32):
