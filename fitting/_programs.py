@@ -3,7 +3,9 @@
 import contextlib
 import hashlib
 import pickle
+import threading
 from collections.abc import Callable
+from concurrent.futures import Future
 from functools import cache
 from importlib.metadata import version
 from pathlib import Path
@@ -41,7 +43,7 @@ def _house() -> bytes:
 
 
 class _Program(eqx.Module):
-    """One traced program: flat arrays in, flat arrays out, and the tree that these make."""
+    """One compiled program: flat arrays in, flat arrays out, and the tree that these make."""
 
     call: Callable
     tree: Any = eqx.field(static=True)
@@ -50,7 +52,7 @@ class _Program(eqx.Module):
         return jax.tree.unflatten(self.tree, self.call(*leaves))
 
 
-def kept(function: Callable) -> Callable:
+class kept:  # noqa: N801 (a decorator)
     """`eqx.filter_jit(function)` that a later process need not trace again.
 
     Where JAX has a folder for its compilation cache, the traced program is stored there too (JAX
@@ -59,24 +61,60 @@ def kept(function: Callable) -> Callable:
     that a stale program is never found.  Without such a folder, or under a transformation, this
     is `eqx.filter_jit`.
     """
-    jitted = eqx.filter_jit(function)
-    programs: dict[str, _Program] = {}
 
-    def call(*args):
-        folder = _folder()
+    def __init__(self, function: Callable):
+        self.function = function
+        self.jitted = eqx.filter_jit(function)
+        self.programs: dict[str, Future[_Program]] = {}
+
+    def __call__(self, *args):
+        leaves = _leaves(args)
+        if leaves is None:
+            return self.jitted(*args)
+        program, make = self._program(args, leaves)
+        make()
+        return program.result()(leaves)
+
+    def prepare(self, *args) -> None:
+        """Begin to compile for a call with such arguments, beside what the caller does next.
+
+        JAX traces one program at a time but compiles on another core.
+        """
+        leaves = _leaves(args)
+        if leaves is not None:
+            threading.Thread(target=self._program(args, leaves)[1]).start()
+
+    def _program(self, args, leaves) -> tuple[Future[_Program], Callable[[], None]]:
+        """The program, promised, and what keeps the promise (nothing, if somebody is at it)."""
         arrays, static = eqx.partition(args, eqx.is_array)
-        leaves, tree = jax.tree.flatten(arrays)
-        if folder is None or any(isinstance(leaf, Tracer) for leaf in leaves):
-            return jitted(*args)
-        shapes = [(leaf.shape, str(leaf.dtype)) for leaf in leaves]
-        target = (jax.default_backend(), jax.config.values["jax_enable_x64"], function.__qualname__)
+        tree = jax.tree.structure(arrays)
+        shapes = [(leaf.shape, str(leaf.dtype), leaf.weak_type) for leaf in leaves]
+        name = self.function.__qualname__
+        target = (jax.default_backend(), jax.config.values["jax_enable_x64"], name)
         key = hashlib.sha256(_house() + pickle.dumps((static, shapes, target))).hexdigest()
-        if key not in programs:
-            path = Path(folder) / f"{function.__name__.strip('_')}-{key}.traced"
-            programs[key] = _load(path) or _trace(path, function, static, leaves, tree)
-        return programs[key](leaves)
+        if key in self.programs:
+            return self.programs[key], lambda: None
+        promised = self.programs[key] = Future()
 
-    return call
+        def make():
+            path = Path(str(_folder())) / f"{self.function.__name__.strip('_')}-{key}.traced"
+            try:
+                call, tree_out = _load(path) or _trace(path, self.function, static, leaves, tree)
+                compiled = jax.jit(call).lower(*leaves).compile()
+                promised.set_result(_Program(compiled, tree_out))
+            except BaseException as error:
+                del self.programs[key]
+                promised.set_exception(error)
+
+        return promised, make
+
+
+def _leaves(args) -> list | None:
+    """The arrays among arguments; None where a program is not to be stored."""
+    leaves = jax.tree.leaves(eqx.filter(args, eqx.is_array))
+    if _folder() is None or any(isinstance(leaf, Tracer) for leaf in leaves):
+        return None
+    return leaves
 
 
 def _write(path: Path, content: bytes) -> None:
@@ -86,16 +124,15 @@ def _write(path: Path, content: bytes) -> None:
             temporary.write_bytes(content)
 
 
-def _load(path: Path) -> _Program | None:
+def _load(path: Path) -> tuple[Callable, Any] | None:
     try:
         program, skeleton = pickle.loads(path.read_bytes())
     except (OSError, EOFError, pickle.UnpicklingError):
         return None
-    exported = jax.export.deserialize(program)
-    return _Program(jax.jit(exported.call), jax.tree.structure(skeleton))
+    return jax.export.deserialize(program).call, jax.tree.structure(skeleton)
 
 
-def _trace(path: Path, function, static, leaves, tree) -> _Program:
+def _trace(path: Path, function, static, leaves, tree) -> tuple[Callable, Any]:
     outputs = []
 
     def flat(*leaves):
@@ -107,4 +144,4 @@ def _trace(path: Path, function, static, leaves, tree) -> _Program:
     exported = jax.export.export(jax.jit(flat), disabled_checks=_SAME_VERSION)(*leaves)
     skeleton = jax.tree.unflatten(outputs[0], range(outputs[0].num_leaves))
     _write(path, pickle.dumps((exported.serialize(), skeleton)))
-    return _Program(jax.jit(exported.call), outputs[0])
+    return exported.call, outputs[0]

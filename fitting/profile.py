@@ -261,14 +261,19 @@ def _solve_constituents(layout: Parameters, prior: Prior, grid, transport, cast:
         return jnp.concatenate([data.reshape(-1), prior.residual(x)])
 
     optimum = least_squares(residual, start, cast, prior.scale)
+    data = optimum.residual[: cast.Ed.size].reshape(cast.Ed.shape)
+    model = jnp.where(cast.mask, cast.Ed - data * cast.sd, jnp.nan)
+    return optimum, covariance(optimum.jacobian), model
+
+
+@kept
+def _describe(layout: Parameters, grid, transport, x):
+    """The water's quantities and their slopes: not of the search, so it compiles beside it."""
 
     def outcome(x):
         return water_quantities(layout.values(x), np.asarray(grid), transport)
 
-    quantities, slopes = value_and_jacobian(outcome, optimum.x)
-    data = optimum.residual[: cast.Ed.size].reshape(cast.Ed.shape)
-    model = jnp.where(cast.mask, cast.Ed - data * cast.sd, jnp.nan)
-    return optimum, covariance(optimum.jacobian), quantities, slopes, model
+    return value_and_jacobian(outcome, x)
 
 
 EXACT = oi.PlaneParallel()  # by which fits within a tolerance are corrected
@@ -325,9 +330,10 @@ def _constituent_fit(
     grid = tuple(profile.wavelength.tolist())
     prior = parameters.prior()
     start = prior.centre if start is None else jax.device_put(start)
-    optimum, cov, values, slopes, fitted = _solve_constituents(
-        parameters.layout(), prior, grid, transport, cast, start
-    )
+    layout = parameters.layout()
+    _describe.prepare(layout, grid, transport, start)
+    optimum, cov, fitted = _solve_constituents(layout, prior, grid, transport, cast, start)
+    values, slopes = _describe(layout, grid, transport, optimum.x)
     cov = np.asarray(cov)
     quantities, sensitivity = quantities_of(values, slopes, parameters, cov)
     return Fit(

@@ -64,3 +64,21 @@ def test_a_folder_that_cannot_be_written_costs_only_time(folder, monkeypatch):
 def test_without_a_folder_it_is_jit(monkeypatch):
     monkeypatch.setattr(_programs, "_folder", lambda: None)
     np.testing.assert_array_equal(call()["value"], [0.0, 2.0, 8.0])
+
+
+def test_a_program_prepared_beside_is_the_one_called(folder):
+    program, x = kept(_line), jnp.arange(3.0)
+    for _ in range(2):
+        program.prepare(jnp.asarray(2.0), x, 2)
+    np.testing.assert_array_equal(program(jnp.asarray(2.0), x, 2)["value"], [0.0, 2.0, 8.0])
+    assert TRACES == [2]
+
+
+def test_an_error_while_preparing_is_the_call_s(folder):
+    def fails(x):
+        raise ValueError("no such water")
+
+    program = kept(fails)
+    program.prepare(jnp.ones(2))
+    with pytest.raises(ValueError, match="no such water"):
+        program(jnp.ones(2))
