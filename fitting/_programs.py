@@ -1,8 +1,10 @@
-"""Compiled functions whose traced program outlives the process."""
+"""Compiled functions that outlive the process."""
 
 import contextlib
 import hashlib
+import os
 import pickle
+import platform
 import threading
 from collections.abc import Callable
 from concurrent.futures import Future
@@ -13,21 +15,22 @@ from typing import Any
 
 import equinox as eqx
 import jax
-import jax.export
+import jax.numpy as jnp
 from jax.core import Tracer
+from jax.experimental import serialize_executable
 
 import oceaninv
 from fitting.report import whole
 
-# JAX refuses to store these calls because a later version may change them; the key holds the
-# version.
-_SAME_VERSION = [
-    jax.export.DisabledSafetyCheck.custom_call(f"lapack_{kind}ormqr_ffi") for kind in "sd"
-]
-
 
 def _folder() -> str | None:
-    return jax.config.values["jax_compilation_cache_dir"]
+    """Where programs are kept: JAX's folder, if JAX itself keeps out of it.
+
+    On a CPU a program that came out of JAX's own cache cannot be stored a second time: it would
+    miss some of its functions (jaxlib 0.10).
+    """
+    own = jax.config.values["jax_enable_compilation_cache"]
+    return None if own else jax.config.values["jax_compilation_cache_dir"]
 
 
 @cache
@@ -39,7 +42,21 @@ def _house() -> bytes:
             digest.update(path.name.encode() + path.read_bytes())
     for package in ("jax", "jaxlib", "equinox", "optimistix", "lineax"):
         digest.update(version(package).encode())
+    digest.update(os.environ.get("XLA_FLAGS", "").encode())
+    digest.update(str(jax.config.values["jax_enable_x64"]).encode())
+    device = jax.devices()[0]
+    digest.update(f"{device.device_kind} {device.client.platform_version}".encode())
+    digest.update(_processor())
     return digest.digest()
+
+
+def _processor() -> bytes:
+    """What machine code may use here: a folder can be shared by machines that differ."""
+    with contextlib.suppress(OSError):
+        for line in Path("/proc/cpuinfo").read_bytes().splitlines():
+            if line.startswith((b"flags", b"Features")):
+                return line
+    return f"{platform.machine()} {platform.processor()}".encode()
 
 
 class _Program(eqx.Module):
@@ -52,14 +69,14 @@ class _Program(eqx.Module):
         return jax.tree.unflatten(self.tree, self.call(*leaves))
 
 
-class kept:  # noqa: N801 (a decorator)
-    """`eqx.filter_jit(function)` that a later process need not trace again.
+class kept:
+    """`eqx.filter_jit(function)` that a later process need neither trace nor compile again.
 
-    Where JAX has a folder for its compilation cache, the traced program is stored there too (JAX
-    itself only spares the compilation, which for these functions is the smaller half).  The key
-    holds the source of the house, the versions of what it stands on and the static arguments, so
-    that a stale program is never found.  Without such a folder, or under a transformation, this
-    is `eqx.filter_jit`.
+    Where JAX has a folder for its compilation cache but does not use it, the program is stored
+    there (that cache spares the compilation alone, about half of the wait).  The key holds the
+    source of the house, the versions of what it stands on, the machine and the static arguments,
+    so that a stale program is never found.  Without such a folder, under a transformation, or
+    with arrays on several devices, this is `eqx.filter_jit`.
     """
 
     def __init__(self, function: Callable):
@@ -90,18 +107,16 @@ class kept:  # noqa: N801 (a decorator)
         tree = jax.tree.structure(arrays)
         shapes = [(leaf.shape, str(leaf.dtype), leaf.weak_type) for leaf in leaves]
         name = self.function.__qualname__
-        target = (jax.default_backend(), jax.config.values["jax_enable_x64"], name)
-        key = hashlib.sha256(_house() + pickle.dumps((static, shapes, target))).hexdigest()
+        key = hashlib.sha256(_house() + pickle.dumps((static, shapes, name))).hexdigest()
         if key in self.programs:
             return self.programs[key], lambda: None
         promised = self.programs[key] = Future()
 
         def make():
-            path = Path(str(_folder())) / f"{self.function.__name__.strip('_')}-{key}.traced"
+            path = Path(str(_folder())) / f"{self.function.__name__.strip('_')}-{key}.program"
             try:
-                call, tree_out = _load(path) or _trace(path, self.function, static, leaves, tree)
-                compiled = jax.jit(call).lower(*leaves).compile()
-                promised.set_result(_Program(compiled, tree_out))
+                found = _load(path) or _compile(path, self.function, static, leaves, tree)
+                promised.set_result(found)
             except BaseException as error:
                 del self.programs[key]
                 promised.set_exception(error)
@@ -110,11 +125,11 @@ class kept:  # noqa: N801 (a decorator)
 
 
 def _leaves(args) -> list | None:
-    """The arrays among arguments; None where a program is not to be stored."""
+    """The arrays among arguments; None where their program is not to be stored."""
     leaves = jax.tree.leaves(eqx.filter(args, eqx.is_array))
     if _folder() is None or any(isinstance(leaf, Tracer) for leaf in leaves):
         return None
-    return leaves
+    return None if any(len(leaf.devices()) > 1 for leaf in leaves) else leaves
 
 
 def _write(path: Path, content: bytes) -> None:
@@ -124,15 +139,23 @@ def _write(path: Path, content: bytes) -> None:
             temporary.write_bytes(content)
 
 
-def _load(path: Path) -> tuple[Callable, Any] | None:
+@cache
+def _register_lapack() -> None:
+    """A stored program calls LAPACK by names that JAX makes known when it lowers such a call."""
+    jax.jit(jnp.linalg.qr).lower(jax.ShapeDtypeStruct((1, 1), jnp.float32))
+
+
+def _load(path: Path) -> _Program | None:
     try:
         program, skeleton = pickle.loads(path.read_bytes())
     except (OSError, EOFError, pickle.UnpicklingError):
         return None
-    return jax.export.deserialize(program).call, jax.tree.structure(skeleton)
+    _register_lapack()
+    call = serialize_executable.deserialize_and_load(*program)
+    return _Program(call, jax.tree.structure(skeleton))
 
 
-def _trace(path: Path, function, static, leaves, tree) -> tuple[Callable, Any]:
+def _compile(path: Path, function, static, leaves, tree) -> _Program:
     outputs = []
 
     def flat(*leaves):
@@ -141,7 +164,8 @@ def _trace(path: Path, function, static, leaves, tree) -> tuple[Callable, Any]:
         outputs.append(structure)
         return tuple(arrays)
 
-    exported = jax.export.export(jax.jit(flat), disabled_checks=_SAME_VERSION)(*leaves)
+    compiled = jax.jit(flat).lower(*leaves).compile()
     skeleton = jax.tree.unflatten(outputs[0], range(outputs[0].num_leaves))
-    _write(path, pickle.dumps((exported.serialize(), skeleton)))
-    return exported.call, outputs[0]
+    with contextlib.suppress(ValueError):  # a backend without serialisation
+        _write(path, pickle.dumps((serialize_executable.serialize(compiled), skeleton)))
+    return _Program(compiled, outputs[0])

@@ -49,8 +49,11 @@ def quick_compilation(drawing: bool = False) -> None:
         os.environ["XLA_FLAGS"] = f"{os.environ.get('XLA_FLAGS', '')} {quick}".strip()
 
 
-def _set_up(drawing: bool = False) -> None:
-    """float64 and a cache of compiled programs; must come before the first array."""
+def _set_up(drawing: bool = False, fitting: bool = False) -> None:
+    """float64 and a cache of compiled programs; must come before the first array.
+
+    Fits keep their programs themselves (`fitting._programs`), JAX those of other commands.
+    """
     quick_compilation(drawing)
     import jax
 
@@ -58,6 +61,7 @@ def _set_up(drawing: bool = False) -> None:
     root = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
     jax.config.update("jax_compilation_cache_dir", str(root / "oceaninv" / "programs"))
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.1)
+    jax.config.update("jax_enable_compilation_cache", not fitting)
 
 
 def run(arguments: list[str]) -> int:
@@ -75,12 +79,12 @@ def run(arguments: list[str]) -> int:
 def main() -> None:
     """The console script."""
     # `trade` times its programs: they are optimised as those of a picture are.
-    timing = sys.argv[1:2] == ["trade"]
-    _set_up(drawing=timing or sys.argv[1:2] == ["render"])
-    if timing:  # a program that was stored would not count as compiled
+    command = "".join(sys.argv[1:2])
+    _set_up(command in ("render", "trade"), fitting=command.startswith("fit-"))
+    if command == "trade":  # a program that was stored would not count as compiled
         import jax
 
-        jax.config.update("jax_enable_compilation_cache", False)
+        jax.config.update("jax_compilation_cache_dir", None)
     sys.exit(run(sys.argv[1:]))
 
 

@@ -82,3 +82,13 @@ def test_an_error_while_preparing_is_the_call_s(folder):
     program.prepare(jnp.ones(2))
     with pytest.raises(ValueError, match="no such water"):
         program(jnp.ones(2))
+
+
+def test_jax_s_own_cache_and_ours_keep_out_of_each_other_s_way(tmp_path, monkeypatch):
+    class Config:
+        values = {"jax_compilation_cache_dir": str(tmp_path), "jax_enable_compilation_cache": True}
+
+    monkeypatch.setattr(_programs.jax, "config", Config)
+    assert _programs._folder() is None
+    Config.values["jax_enable_compilation_cache"] = False
+    assert _programs._folder() == str(tmp_path)
