@@ -1,5 +1,7 @@
 """Traced programs that outlive the process."""
 
+from types import SimpleNamespace
+
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -85,10 +87,8 @@ def test_an_error_while_preparing_is_the_call_s(folder):
 
 
 def test_jax_s_own_cache_and_ours_keep_out_of_each_other_s_way(tmp_path, monkeypatch):
-    class Config:
-        values = {"jax_compilation_cache_dir": str(tmp_path), "jax_enable_compilation_cache": True}
-
-    monkeypatch.setattr(_programs.jax, "config", Config)
+    values = {"jax_compilation_cache_dir": str(tmp_path), "jax_enable_compilation_cache": True}
+    monkeypatch.setattr(_programs.jax, "config", SimpleNamespace(values=values))
     assert _programs._folder() is None
-    Config.values["jax_enable_compilation_cache"] = False
+    values["jax_enable_compilation_cache"] = False
     assert _programs._folder() == str(tmp_path)
