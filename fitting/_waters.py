@@ -56,7 +56,7 @@ class Spectra(eqx.Module):
 
 class Water(eqx.Module):
     """Where the searches ended: `x`, `covariance`, `code` as in `fitting.solve`, quantities with
-    their slopes, and the model at the samples."""
+    their slopes, the model at the samples, and its ln R at 0-."""
 
     x: Float[Array, "*cast unknown"]
     covariance: Float[Array, "*cast unknown unknown"]
@@ -64,6 +64,7 @@ class Water(eqx.Module):
     values: Mapping[str, Array]
     slopes: Mapping[str, Array]
     model: Float[Array, "*cast depth wl"]
+    reflected: Float[Array, "*cast wl"]
 
 
 def nodes_and_basis(depth: np.ndarray, deepest: float) -> tuple[np.ndarray, np.ndarray]:
@@ -220,7 +221,7 @@ def _pass(layout: Parameters, grid, transport: AbstractTransport, prior, data, s
     code = jnp.where(finite, jnp.where(close, 0, 1), 2).astype(jnp.int32)
     usable = jnp.where(finite, jacobian / prior.scale[None, :], 0.0)
 
-    shape, _ = curve(layout.values(x), grid, transport, data.nodes)
+    shape, up = curve(layout.values(x), grid, transport, data.nodes)
     first = rows[:, 0]
     # A band without a sample has a row of zeros.
     scale = jnp.where(first[:, 0] == 0.0, 1.0, first[:, 0])
@@ -231,7 +232,7 @@ def _pass(layout: Parameters, grid, transport: AbstractTransport, prior, data, s
         return water_quantities(layout.values(x), np.asarray(grid), transport)
 
     values, slopes = value_and_jacobian(outcome, x)
-    return Water(x, covariance(usable), code, values, slopes, model), damping, ended
+    return Water(x, covariance(usable), code, values, slopes, model, up), damping, ended
 
 
 @kept

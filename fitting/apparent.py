@@ -8,7 +8,13 @@ import numpy as np
 from fitting._bands import BandFit
 from fitting._upward import Cast, reflected, spectra_of
 from fitting._waters import Spectra, Water, nodes_and_basis, solve_waters
-from fitting.parameters import Parameter, Parameters, water_unknowns
+from fitting.parameters import (
+    Parameter,
+    Parameters,
+    absorption_shapes,
+    shape_nuisances,
+    water_unknowns,
+)
 from fitting.posterior import Fit, Predictive, Quantity
 from fitting.quantities import quantities_of
 from fitting.solve import sentence
@@ -50,7 +56,11 @@ def fit_waters(
     return found
 
 
-def _fit(found: WaterFit, wavelength, predictive: Predictive, metadata: dict) -> Fit:
+# Of Kd to begin with, and worth how many degrees of freedom; those of Student's t; rounds.
+_KD_ERROR, _WORTH, _TAILS, _REWEIGHTINGS = 0.05, 4.0, 4.0, 3
+
+
+def _fit(found: WaterFit, wavelength, predictive: Predictive, metadata: dict, dof=None) -> Fit:
     water = found.water
     cov = np.asarray(water.covariance)
     quantities, leaning = quantities_of(water.values, water.slopes, found.parameters, cov)
@@ -63,6 +73,7 @@ def _fit(found: WaterFit, wavelength, predictive: Predictive, metadata: dict) ->
         sentence(water.code),
         predictive,
         metadata | {"transport": found.transport},
+        dof,
         sensitivity=leaning,
     )
 
@@ -96,7 +107,7 @@ def fit_apparent(
     R=None,
     *,
     transport: AbstractTransport,
-    Kd_sd: float = 0.05,
+    Kd_sd: float | None = None,
     R_sd: float = 0.05,
     solar_zenith=None,
     priors: dict[str, Parameter] | None = None,
@@ -109,9 +120,13 @@ def fit_apparent(
     - `Kd`, `R`: (station, wl) 1/m, as the mean from the surface to the depth 1/Kd, and 1; NaN
       where absent.
     - `Kd_sd`, `R_sd`: their relative standard deviations; what the transport gets wrong in R
-      comes in addition.
+      comes in addition.  A `Kd_sd` of None estimates a factor on both at every station, from what
+      the fit leaves over: 5 % to begin with, Student's t with four degrees of freedom for single
+      bad bands.
     - `solar_zenith`: (station,) degrees in air, NaN or None where unknown.
-    - `transport`, `priors`: as for `fit_profile`.
+    - `transport`, `priors`: as for `fit_profile`, with nuisances of shape twice as wide, and free
+      departures of the spectrum of absorption (`fitting.parameters.absorption_shapes`): without
+      them a few bands claim to tell chlorophyll, CDOM and detritus of any sea apart, and err.
 
     **Returns** a `Fit` per station, as `fit_profile` with a transport.
 
@@ -126,19 +141,64 @@ def fit_apparent(
     if not np.all((Kd > 0).any(axis=1)):
         raise ValueError(f"station {int(np.argmin((Kd > 0).any(axis=1)))} holds no positive Kd.")
     suns = np.full(len(Kd), np.nan) if solar_zenith is None else np.asarray(solar_zenith, float)
-    grid, found = tuple(wavelength.tolist()), []
-    suns = [None if np.isnan(sun) else float(sun) for sun in suns]
-    unknowns = [Parameters(water_unknowns(sun)).replace(priors or {}) for sun in suns]
-    spectra = [_spectra(kd, r, Kd_sd, R_sd, transport) for kd, r in zip(Kd, ratio, strict=True)]
+    unknowns = [
+        Parameters(_any_sea(None if np.isnan(sun) else float(sun))).replace(priors or {})
+        for sun in suns
+    ]
+    sd = _KD_ERROR if Kd_sd is None else Kd_sd
+    exact = [_spectra(kd, r, sd, R_sd, transport) for kd, r in zip(Kd, ratio, strict=True)]
+    grid, spectra = tuple(wavelength.tolist()), exact
+    scale, dof = np.ones(len(Kd)), [None] * len(Kd)
     waters = solve_waters(unknowns, grid, transport, spectra)
+    for _ in range(_REWEIGHTINGS if Kd_sd is None else 0):
+        rows = zip(Kd, exact, waters, unknowns, scale, strict=True)
+        spectra, scale, dof = map(list, zip(*(_weighed(*row, sd) for row in rows), strict=True))
+        waters = solve_waters(unknowns, grid, transport, spectra)
+    fits = []
     for i, water in enumerate(waters):
         one = WaterFit(unknowns[i], spectra[i], water, type(transport).__name__)
-        depth, model = 1.0 / np.where(Kd[i] > 0, Kd[i], np.nan), np.asarray(water.model)
-        predicted = np.log(model[0] / np.diagonal(model[1:])) / depth
-        seen = np.where(Kd[i] > 0, Kd[i], np.nan)
-        predictive = Predictive(seen, predicted, Kd_sd * seen, ("wavelength",), "m-1")
-        found.append(_fit(one, wavelength, predictive, {"source": f"station {i}"}))
-    return found
+        seen, noise = np.where(Kd[i] > 0, Kd[i], np.nan), float(sd * scale[i])
+        predicted = _predicted(Kd[i], water)
+        predictive = Predictive(seen, predicted, noise * seen, ("wavelength",), "m-1")
+        notes = {"source": f"station {i}", "relative_noise": "given" if Kd_sd else noise}
+        fits.append(_fit(one, wavelength, predictive, notes, dof[i]))
+    return fits
+
+
+def _any_sea(solar_zenith: float | None) -> list[Parameter]:
+    """Unknowns of a water of which nothing is known, not even the kind of sea."""
+    shapes = {p.name for p in shape_nuisances()}
+    return [
+        dataclasses.replace(p, spread=2.0 * p.spread) if p.name in shapes and p.spread else p
+        for p in (*water_unknowns(solar_zenith), *absorption_shapes())
+    ]
+
+
+def _predicted(kd: np.ndarray, water: Water) -> np.ndarray:
+    """(wl,) the model's Kd to the depths 1/Kd, NaN where Kd is absent."""
+    model = np.asarray(water.model)
+    return np.log(model[0] / np.diagonal(model[1:])) * np.where(kd > 0, kd, np.nan)
+
+
+def _weighed(kd, exact: Spectra, water: Water, unknowns: Parameters, scale: float, sd: float):
+    """The station with each band weighed by how well it fits; the factor on its errors, and the
+    degrees of freedom of that.
+
+    Expectation and maximisation for Student's t (Lange, Little & Taylor 1989, J. Am. Stat. Assoc.
+    84:881).  Unknowns count as far as the data, not their priors, fix them.
+    """
+    weight = np.asarray(exact.weight)
+    of_kd = (_predicted(kd, water) / kd - 1.0) / sd
+    of_r = np.where(weight > 0, (water.reflected - exact.reflectance) * weight, np.nan)
+    misfit = np.stack([of_kd, of_r])
+    trust = (_TAILS + 1.0) / (_TAILS + (misfit / scale) ** 2)
+    known = [0.0 if p.spread is None else p.spread**-2 for p in unknowns]
+    fixed = len(known) - float(np.diag(water.covariance) @ known)
+    dof = _WORTH + max(float(np.isfinite(misfit).sum()) - fixed, 0.0)
+    scale = float(np.sqrt((_WORTH + np.nansum(trust * misfit**2)) / dof))
+    root = np.sqrt(np.where(np.isfinite(trust), trust, 1.0)) / scale
+    weighed = dataclasses.replace(exact, sd=exact.sd / root[0], weight=weight * root[1])
+    return weighed, scale, dof
 
 
 def _spectra(kd, ratio, kd_sd: float, r_sd: float, transport) -> Spectra:

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from oceaninv import CDOM, BioOpticalModel, Constituents, Detritus, Minerals, Phytoplankton
+from oceaninv import CDOM, BioOpticalModel, Constituents, Detritus, IOPs, Minerals, Phytoplankton
 from oceaninv.bio_optics import particle_phase
 
 
@@ -192,6 +192,32 @@ def shape_nuisances() -> tuple[Parameter, ...]:
     )
 
 
+_SHAPE_KNOTS = (412, 443, 490, 555, 620, 670)
+
+
+def absorption_shapes() -> tuple[Parameter, ...]:
+    """How far the spectrum of all that absorbs besides water departs from the model's sum.
+
+    Factors at six wavelengths, between which they go linearly.  Algae differ in the shape of their
+    absorption by a third at equal chlorophyll (Bricaud et al. 1995, fig. 3), CDOM and detritus from
+    exponentials by less; 0.3 holds either.
+    """
+    return tuple(Parameter(f"shape_{nm}", 1.0, 0.3, nuisance=True) for nm in _SHAPE_KNOTS)
+
+
+def _shaped(water: IOPs, values: Mapping[str, Float[Array, ""]]) -> IOPs:
+    if f"shape_{_SHAPE_KNOTS[0]}" not in values:
+        return water
+    knots = np.eye(len(_SHAPE_KNOTS))
+    hats = np.stack([np.interp(water.wavelength, _SHAPE_KNOTS, row) for row in knots])
+    factor = jnp.stack([values[f"shape_{nm}"] for nm in _SHAPE_KNOTS]) @ hats
+    rows = [
+        row if name == "water" else row * factor
+        for name, row in zip(water.absorbers, water.a_components, strict=True)
+    ]
+    return eqx.tree_at(lambda water: water.a_components, water, jnp.stack(rows))
+
+
 def water_unknowns(solar_zenith: float | None) -> tuple[Parameter, ...]:
     """Constituents, the nuisances of their shapes, and those of the light's way down."""
     return (
@@ -243,4 +269,5 @@ def water_iops(values: Mapping[str, Float[Array, ""]], wavelength: np.ndarray):
         )
     )
     names = ("chlorophyll", "cdom", "detritus", "minerals")
-    return model.iops(Constituents(**{n: values[n] for n in names if n in values}), wavelength)
+    present = Constituents(**{n: values[n] for n in names if n in values})
+    return _shaped(model.iops(present, wavelength), values)
