@@ -19,6 +19,8 @@ _INDEX = 1.34
 _SKY, _SKY_REFLECTED, _BACK, _Q = 0.3, 0.066, 0.48, 4.0
 _CROSSING = 0.02
 _HALF_BAND = 5.0
+# What readings of AC-9 and AC-S are worth: calibration, scattered light; relative, and 1/m.
+_BEAM_RELATIVE, _BEAM_FLOOR = 0.03, 0.005
 # Relative errors of R by closed forms (their docstrings); of exact models, those of the scene.
 _REFLECTANCE_ERROR = {"TwoStream": 0.1, "FourStream": 0.05}
 
@@ -86,6 +88,7 @@ def spectra_of(cast: Cast, fits: Mapping[str, BandFit], transport) -> Spectra:
         cast_quantities(cast, fits).get("R"), len(profile.wavelength), transport
     )
     light = np.where(used, light_of(profile)[:n], 1.0)
+    beam, beam_weight = beam_of(profile, used)
     return Spectra(
         nodes,
         pad(basis, 0.0),
@@ -95,7 +98,29 @@ def spectra_of(cast: Cast, fits: Mapping[str, BandFit], transport) -> Spectra:
         pad(np.where(used, start, 1.0), 1.0),
         ln_r,
         weight,
+        beam,
+        beam_weight,
     )
+
+
+def beam_of(profile: Profile, used: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(2, beam) a and c without pure water's, means over the water whose light is used, and one
+    over their deviations: what readings are worth, and the error of a mean over depth."""
+    inside = profile.depth <= profile.depth[: len(used)][used.any(axis=1)].max(initial=0.0)
+    values, weights = [], []
+    for table in (profile.a, profile.c):
+        if table is None:
+            table = np.full((len(profile.depth), len(profile.beam_wavelength)), np.nan)
+        seen = np.isfinite(table) & inside[:, None]
+        count = seen.sum(axis=0)
+        number = np.maximum(count, 1)
+        mean = np.where(seen, table, 0.0).sum(axis=0) / number
+        apart = np.where(seen, (table - mean) ** 2, 0.0).sum(axis=0)
+        variance = apart / np.maximum(count - 1, 1) / number
+        sd = np.sqrt(variance + (_BEAM_RELATIVE * mean) ** 2 + _BEAM_FLOOR**2)
+        values.append(mean)
+        weights.append(np.where(count > 0, 1.0 / sd, 0.0))
+    return np.stack(values), np.stack(weights)
 
 
 def reflected(R: Quantity | None, bands: int, transport) -> tuple[np.ndarray, np.ndarray]:

@@ -41,7 +41,8 @@ class Spectra(eqx.Module):
 
     `nodes`: m, the first 0; `basis`: what the curve at each sample takes from the nodes; `light`,
     `sd`, `used`, `start`: readings less darkness, their deviations, which count, and a model to
-    begin with; `reflectance`, `weight`: ln R at 0-, and one over its deviation, 0 where absent.
+    begin with; `reflectance`, `weight`: ln R at 0-, and one over its deviation, 0 where absent;
+    `beam`, `beam_weight`: a and c without pure water's, 1/m, and one over their deviations.
     """
 
     nodes: Float[Numbers, "*cast node"]
@@ -52,6 +53,8 @@ class Spectra(eqx.Module):
     start: Float[Numbers, "*cast depth wl"]
     reflectance: Float[Numbers, "*cast wl"]
     weight: Float[Numbers, "*cast wl"]
+    beam: Float[Numbers, "*cast 2 beam"]
+    beam_weight: Float[Numbers, "*cast 2 beam"]
 
 
 class Water(eqx.Module):
@@ -130,6 +133,12 @@ def _curve_and_slopes(layout: Parameters, grid, transport, nodes, x):
     return value, jnp.einsum("nwk,kwu->nwu", inner, outer)
 
 
+def _beam(values, wavelength: np.ndarray):
+    """(2, beam) a and c of the water with `values` without those of pure water."""
+    water, pure = water_iops(values, wavelength), water_iops({}, wavelength)
+    return jnp.stack([water.a - pure.a, water.c - pure.c])
+
+
 def _rows(data: Spectra, model):
     """(wl, row, 1 + node + 1) triangles of [ln Ed(0-) | nodes | target] in standard deviations."""
     weight = jnp.where(data.used, model / data.sd, 0.0)
@@ -151,8 +160,12 @@ class Search(eqx.Module):
     model: Float[Numbers, "*cast depth wl"]
 
 
-def _misfit(layout, grid, transport, prior: Prior, data: Spectra, rows):
+def _misfit(layout, grid, beam, transport, prior: Prior, data: Spectra, rows):
     """The function (unknown,) -> residual and Jacobian, in units of the prior's scale."""
+
+    def of_beam(x):
+        left = data.beam_weight * (_beam(layout.values(x), np.asarray(beam)) - data.beam)
+        return left.reshape(-1)
 
     def both(x):
         value, slope = _curve_and_slopes(layout, grid, transport, data.nodes, x)
@@ -160,9 +173,12 @@ def _misfit(layout, grid, transport, prior: Prior, data: Spectra, rows):
         of_light = jnp.einsum("wrn,nwu->wru", rows[:, 1:-1, 1:-1], slope[:-1])
         up = data.weight * (value[-1] - data.reflectance)
         of_up = data.weight[:, None] * slope[-1]
-        residual = jnp.concatenate([light.reshape(-1), up, prior.residual(x)])
-        of_prior = jnp.diag(prior.weight)
-        jacobian = jnp.concatenate([of_light.reshape(-1, x.shape[0]), of_up, of_prior])
+        residual = [light.reshape(-1), up, prior.residual(x)]
+        slopes = [of_light.reshape(-1, x.shape[0]), of_up, jnp.diag(prior.weight)]
+        if beam:
+            left, slope = value_and_jacobian(of_beam, x)
+            residual, slopes = [*residual, left], [*slopes, slope]
+        residual, jacobian = jnp.concatenate(residual), jnp.concatenate(slopes)
         return residual, jacobian * prior.scale[None, :]
 
     return both
@@ -179,10 +195,10 @@ def _remaining(residual, jacobian, damping=0.0):
     return step, -step @ slope
 
 
-def _pass(layout: Parameters, grid, transport: AbstractTransport, prior, data, search: Search):
+def _pass(layout: Parameters, grid, beam, transport: AbstractTransport, prior, data, search):
     """A few steps of Levenberg and Marquardt's method from where the search stands."""
     rows = _rows(data, search.model)
-    both = _misfit(layout, grid, transport, prior, data, rows)
+    both = _misfit(layout, grid, beam, transport, prior, data, rows)
 
     origin = jnp.asarray(search.x)
 
@@ -236,14 +252,15 @@ def _pass(layout: Parameters, grid, transport: AbstractTransport, prior, data, s
 
 
 @kept
-def _pass_all(layout: Parameters, prior: Prior, grid, transport, data: Spectra, search: Search):
-    return jax.vmap(functools.partial(_pass, layout, grid, transport))(prior, data, search)
+def _pass_all(layout: Parameters, prior: Prior, grid, beam, transport, data: Spectra, at: Search):
+    return jax.vmap(functools.partial(_pass, layout, grid, beam, transport))(prior, data, at)
 
 
 def solve_waters(
-    parameters: Sequence[Parameters], grid, transport, data: Sequence[Spectra]
+    parameters: Sequence[Parameters], grid, transport, data: Sequence[Spectra], beam=()
 ) -> list[Water]:
-    """Searches of casts that share bands, unknowns and the length of their padding.
+    """Searches of casts that share bands, unknowns, the length of their padding and the `beam`
+    wavelengths of a and c.
 
     A chunk takes a few steps at a time, and searches that have ended make room for others: the
     slowest holds up nobody.
@@ -264,7 +281,7 @@ def solve_waters(
             return jax.tree.map(lambda *leaves: np.stack(leaves), *[items[i] for i in filled])
 
         arrays = jax.device_put((stacked(priors), stacked(data), stacked(at)))
-        done = _pass_all(layout, arrays[0], grid, transport, *arrays[1:])
+        done = _pass_all(layout, arrays[0], grid, beam, transport, *arrays[1:])
         water, dampings, ended = jax.tree.map(np.asarray, done)
         for k, i in enumerate(part):
             own = jax.tree.map(lambda leaf, k=k: leaf[k], water)

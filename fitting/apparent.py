@@ -45,12 +45,13 @@ def fit_waters(
         profile = cast.job.profile
         spectra[i] = spectra_of(cast, fits[i], transport)
         unknowns[i] = Parameters(water_unknowns(profile.solar_zenith)).replace(priors or {})
-        shape = (tuple(profile.wavelength.tolist()), spectra[i].light.shape[0])
+        beam = tuple(profile.beam_wavelength.tolist())
+        shape = (tuple(profile.wavelength.tolist()), spectra[i].light.shape[0], beam)
         groups.setdefault(shape, []).append(i)
     found = {}
-    for (grid, _), members in groups.items():
+    for (grid, _, beam), members in groups.items():
         part = [spectra[i] for i in members]
-        waters = solve_waters([unknowns[i] for i in members], grid, transport, part)
+        waters = solve_waters([unknowns[i] for i in members], grid, transport, part, beam)
         for i, water in zip(members, waters, strict=True):
             found[i] = WaterFit(unknowns[i], spectra[i], water, type(transport).__name__)
     return found
@@ -97,6 +98,8 @@ def water_fit(cast: Cast, bands: BandFit, found: WaterFit) -> Fit:
         "depths_used": [int(count) for count in np.asarray(seen.used).sum(axis=0)],
         "relative_noise": "given" if profile.sigma is not None else bands.noise.tolist(),
         "reflectance_used_nm": profile.wavelength[np.asarray(seen.weight) > 0].tolist(),
+        "a_used_nm": profile.beam_wavelength[np.asarray(seen.beam_weight)[0] > 0].tolist(),
+        "c_used_nm": profile.beam_wavelength[np.asarray(seen.beam_weight)[1] > 0].tolist(),
     }
     return _fit(found, profile.wavelength, predictive, metadata)
 
@@ -211,4 +214,5 @@ def _spectra(kd, ratio, kd_sd: float, r_sd: float, transport) -> Spectra:
     error = Quantity(ratio, np.full_like(ratio, r_sd), "1", "R")
     ln_r, weight = reflected(error, len(kd), transport)
     sd = light * kd_sd / np.sqrt(2.0)
-    return Spectra(nodes, basis, light, sd, used, light, ln_r, weight)
+    nothing = np.zeros((2, 0))
+    return Spectra(nodes, basis, light, sd, used, light, ln_r, weight, nothing, nothing)

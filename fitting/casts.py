@@ -19,6 +19,9 @@ _IRRADIANCE = re.compile(
 )
 _KINDS = {"es": "surface", "ed0": "surface", "edz": "Ed", "ed": "Ed", "down_irradiance": "Ed"}
 _KINDS |= {"euz": "Eu", "eu": "Eu", "luz": "Lu", "lu": "Lu"}
+# Without pure water's, as SeaBASS names them (gelbstoff and particles).
+_BEAM = re.compile(r"(?i)(?P<kind>[ac])gp[_ ]?\(?(?P<nm>\d{3}(?:\.\d+)?)\)?$")
+_PER_METRE = ("1/m", "m-1", "m^-1", "/m", "m**-1")
 _DEPTH = re.compile(r"(?i)(depth|pres|pressure)(?:_(m|dbar))?$")
 _BRACKET = re.compile(r"(.*?)\s*[\[(]([^\])\d][^\]]*)[\])]$")
 # Argo's flags: 3 probably bad, 4 bad, 9 missing; 0 (no check yet), 1, 2, 5 and 8 are used.
@@ -139,7 +142,9 @@ def _from_sheet(sheet: Sheet, reading: Reading) -> list[RawCast]:
 
 def _known(name: str) -> bool:
     par = name.lower() in ("par", "downwelling_par")
-    return bool(_IRRADIANCE.fullmatch(name) or _DEPTH.fullmatch(name) or par)
+    return bool(
+        _IRRADIANCE.fullmatch(name) or _DEPTH.fullmatch(name) or _BEAM.fullmatch(name) or par
+    )
 
 
 def _depth(raw: RawCast, reading: Reading) -> np.ndarray:
@@ -277,12 +282,39 @@ def profile_of(raw: RawCast, reading: Reading | None = None) -> Profile:
             source=raw.name,
             counts=counts,
             calibrated=calibrated,
+            **_beams(raw, reading, keep),
             upward_below=0.0
             if reading.upward_offset is None
             else reading.upward_offset - reading.depth_offset,
         )
     except ValueError as error:
-        raise ValueError(f"{raw.name}: {error}") from None
+        known = str(error).startswith(raw.name)
+        raise ValueError(str(error) if known else f"{raw.name}: {error}") from None
+
+
+def _beams(raw: RawCast, reading: Reading, keep: np.ndarray) -> dict:
+    """What a `Profile` takes of columns agp_<nm> and cgp_<nm>."""
+    found: dict[str, dict[float, np.ndarray]] = {}
+    for name, values in raw.columns.items():
+        match = _BEAM.fullmatch(name.strip())
+        if match:
+            kind = match.group("kind").lower()
+            unit = reading.units.get(f"{kind}gp") or raw.units.get(name.strip())
+            if unit is None or unit.strip() not in _PER_METRE:
+                raise ValueError(
+                    f"{raw.name}: the unit of {name.strip()} is "
+                    f"{'not stated' if unit is None else repr(unit)}; it must be 1/m."
+                )
+            found.setdefault(kind, {})[float(match.group("nm"))] = values[keep]
+    if not found:
+        return {}
+    grid = np.array(sorted({wl for bands in found.values() for wl in bands}))
+    blank = np.full(int(keep.sum()), np.nan)
+    tables = {
+        kind: np.stack([bands.get(wl, blank) for wl in grid], axis=1)
+        for kind, bands in found.items()
+    }
+    return {"beam_wavelength": grid, **tables}
 
 
 def _tilt(raw: RawCast) -> np.ndarray | None:

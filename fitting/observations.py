@@ -41,6 +41,9 @@ class Profile:
       divided out of all light below; quick ones and dips that end, such as those of a shadow band,
       are not.
     - `PAR`: (depth,) photosynthetically available radiation, any unit.
+    - `a`, `c`: (depth, beam) absorption and beam attenuation without pure water's, 1/m, at
+      `beam_wavelength` (beam,) nm, strictly increasing, as AC-9 and AC-S give them; NaN where
+      absent.  Fits of constituents use their means over the water whose light they use.
     - `upward_below`: metres from the sensor of Ed down to those of Eu and Lu.
     - `calibrated`: whether `surface` is in the unit of Ed; if not, only its changes are used.
     - `tilt`: (depth,) degrees, for reports.
@@ -68,6 +71,9 @@ class Profile:
     Es: Float[np.ndarray, " wl"] | None
     upward_below: float
     PAR: Float[np.ndarray, " depth"] | None
+    beam_wavelength: Float[np.ndarray, " beam"]
+    a: Float[np.ndarray, "depth beam"] | None
+    c: Float[np.ndarray, "depth beam"] | None
     tilt: Float[np.ndarray, " depth"] | None
     dark: Float[np.ndarray, " wl"]
     dark_sd: Float[np.ndarray, " wl"]
@@ -88,6 +94,9 @@ class Profile:
         surface=None,
         PAR=None,
         tilt=None,
+        beam_wavelength=None,
+        a=None,
+        c=None,
         upward_below: float = 0.0,
         calibrated: bool = True,
         counts: Mapping[str, int] | None = None,
@@ -113,11 +122,12 @@ class Profile:
                         f"{Ed.shape if name in tables else depth.shape}."
                     )
                 (tables if name in tables else lines)[name] = array
+        beam_wavelength, beams = _beams(len(depth), beam_wavelength, {"a": a, "c": c})
         level = None
         if surface is not None:
             tables["reference"], level = smooth_reference(tables["reference"])
         order = np.argsort(depth, kind="stable")
-        data = {"depth": depth, **tables, **lines}
+        data = {"depth": depth, **tables, **lines, **beams}
         data = {k: None if v is None else v[order] for k, v in data.items()}
         data, merged = thinned(data)
         depth, Ed, sigma = data["depth"], data["Ed"], data["sigma"]
@@ -146,6 +156,7 @@ class Profile:
         for name, value in {
             **data,
             "wavelength": wavelength,
+            "beam_wavelength": beam_wavelength,
             "floor": floor,
             "mask": mask,
             "solar_zenith": solar_zenith,
@@ -191,6 +202,23 @@ class Profile:
             object.__setattr__(made, "reference", reference)
             object.__setattr__(made, "mask", made.mask & (reference > 0))
         return made, bands
+
+
+def _beams(count: int, wavelength, given: dict) -> tuple[np.ndarray, dict]:
+    """Wavelengths of a and c, none if they are absent, and both, checked."""
+    if wavelength is None:
+        if any(value is not None for value in given.values()):
+            raise ValueError("a and c need beam_wavelength, the wavelengths of their columns, nm.")
+        return np.zeros(0), dict.fromkeys(given)
+    wavelength = check_wavelength(wavelength)
+    beams = {k: None if v is None else as_array(k, v, 2) for k, v in given.items()}
+    for name, array in beams.items():
+        if array is not None and array.shape != (count, len(wavelength)):
+            raise ValueError(
+                f"{name} must have shape (depth, beam) = ({count}, {len(wavelength)}), "
+                f"not {array.shape}."
+            )
+    return wavelength, beams
 
 
 _COEFFICIENTS = ("a", "b", "c")

@@ -55,7 +55,7 @@ def fit_profile(
     - `transport`: `None` fits one Kd and Ed(0-) per band, with no model of the water.  A
       transport (`oceaninv.TwoStream()`) fits chlorophyll, CDOM and detritus to all bands
       together through it; Ed(0-) of each band stays free, so that the sun's spectrum and the
-      sensor's calibration do not matter.
+      sensor's calibration do not matter.  Where the profile holds a and c, those and R count too.
     - `priors`: parameters to exchange by name, for instance a known CDOM:
       `{"cdom": Parameter("cdom", 0.12, 0.1)}`.
     - `depth_range`: (low, high) metres; by default each band is used from the surface to the
@@ -79,6 +79,13 @@ def fit_profile(
         raise ValueError("layers apply to a fit of Kd alone; a transport fits one water.")
     if transport is None and tolerance is None and priors:
         raise ValueError("priors apply to a fit through a transport; Kd alone has none.")
+    if len(profile.beam_wavelength) and tolerance is not None:
+        raise ValueError("a and c are fitted through a transport that is named, not a tolerance.")
+    if len(profile.beam_wavelength) and transport is not None:
+        from fitting.profiles import fit_profiles
+
+        options = {"depth_range": depth_range, "transport": transport, "priors": priors}
+        return fit_profiles([profile], **options).water(0)
     cast = cast_of(profile, depth_range, layers)
     if tolerance is not None:
         (bands,) = fit_lanes([cast.job])

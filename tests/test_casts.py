@@ -274,3 +274,25 @@ def test_ten_floats_casts_by_the_simplest_model_that_suffices():
         assert len(fit.metadata["interfaces_m"]) <= 3
         assert fit.dof is not None
         assert np.min(fit.dof) > 3
+
+
+def test_absorption_and_attenuation_beside_the_light(tmp_path):
+    path = tmp_path / "cast.sb"
+    rows = "\n".join(f"{z:.3f},{e:.6g},0.1,0.4" for z, e in zip(DEPTH, ed(), strict=True))
+    head = (
+        "/begin_header\n/missing=-9999\n/delimiter=comma\n/fields=depth,Ed490,agp440,cgp555\n"
+        "/units=m,W/m^2/nm,{},1/m\n/end_header\n"
+    )
+    path.write_text(head.format("1/m") + rows + "\n")
+    profile = read_cast(path)
+    assert profile.beam_wavelength.tolist() == [440.0, 555.0]
+    np.testing.assert_allclose(profile.a[:, 0], 0.1)
+    np.testing.assert_allclose(profile.c[:, 1], 0.4)
+    assert np.all(np.isnan(profile.a[:, 1]))
+    path.write_text(head.format("none") + rows + "\n")
+    with pytest.raises(ValueError, match="unit of agp440 is 'none'; it must be 1/m"):
+        read_cast(path)
+    with pytest.raises(ValueError, match="need beam_wavelength"):
+        Profile(DEPTH, [490.0], ed()[:, None], a=ed()[:, None])
+    with pytest.raises(ValueError, match=r"a must have shape \(depth, beam\) = \(60, 2\)"):
+        Profile(DEPTH, [490.0], ed()[:, None], beam_wavelength=[440, 555], a=ed()[:, None])
