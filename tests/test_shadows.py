@@ -10,6 +10,7 @@ import pytest
 
 import oceaninv as oi
 from oceaninv.transport import shadows
+from oceaninv.transport._lamplight import _lit
 
 F = jnp.asarray([1.0, 2.0])
 RHO = jnp.asarray([0.5, 0.2])
@@ -143,7 +144,7 @@ def test_lamp():
     slanted = 0.5 * RHO / np.pi * F / 20.0 * (4 / np.sqrt(20.0))
     np.testing.assert_allclose(value, np.stack([straight, slanted, 0 * F]), rtol=1e-5, atol=1e-7)
     murky = dataclasses.replace(dark, water=_scene(0.2, 0.4).water, floor=oi.Floor(7.0, 0 * RHO))
-    value = np.asarray(_seen(murky, rays, oi.Shadows(oi.TwoStream(), 400)).value)
+    value = np.asarray(_seen(murky, rays, oi.Shadows(oi.TwoStream(), 48)).value)
     d = np.asarray(rays.direction)[0]
     length = 5.0 / d[2]
     t = (np.arange(100_000) + 0.5) / 100_000 * length
@@ -155,7 +156,31 @@ def test_lamp():
     c_star = 0.2 + 0.4 * (1 - 0.8**2)
     light = lit * np.exp(-c_star * (r + t)) / r**2
     expected = np.sum(light[:, None] * beta, axis=0) * length / 100_000 * np.asarray(F)
-    np.testing.assert_allclose(value[0], expected, rtol=1e-2)
+    np.testing.assert_allclose(value[0], expected, rtol=4e-5)
+
+
+@pytest.mark.parametrize("half_angle", [5.0, 40.0, 89.0, 90.0])
+def test_stretch_within_a_cone(half_angle):
+    """Where a spot shines on rays of all directions, against asking point by point."""
+    rng = np.random.default_rng(5)
+    lamp = oi.SpotLamp((1.0, 0.0, 3.0), (0.3, -0.2, 1.0), half_angle, F)
+    direction = rng.normal(size=(300, 3))
+    direction[0] = np.asarray(lamp.direction)
+    rays = oi.Rays(
+        jnp.asarray(rng.uniform(-4, 4, (300, 3)) + np.asarray(lamp.position)),
+        jnp.asarray(direction / np.linalg.norm(direction, axis=1, keepdims=True)),
+    )
+    end = jnp.asarray(rng.uniform(1.0, 12.0, 300))
+    first, last = map(np.asarray, _lit(lamp, rays, end))
+    assert np.all((first >= 0) & (last >= first) & (last <= np.asarray(end)))
+    t = (np.arange(200) + 0.5) / 200 * np.asarray(end)[:, None]
+    apart = np.asarray(rays.origin)[:, None] + t[..., None] * np.asarray(rays.direction)[:, None]
+    apart = apart - np.asarray(lamp.position)
+    cosine = apart @ np.asarray(lamp.direction) / np.linalg.norm(apart, axis=2)
+    shone = cosine >= np.cos(np.radians(half_angle))
+    within = (t > first[:, None]) & (t < last[:, None])
+    assert np.mean(shone) > (0.0005 if half_angle < 10 else 0.05)
+    np.testing.assert_array_equal(within, shone)
 
 
 @pytest.mark.slow

@@ -4,7 +4,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from oceaninv.light import AbstractLamp
+from oceaninv._numerics import safe_sqrt
+from oceaninv.light import AbstractLamp, SpotLamp
 from oceaninv.objects import blocked
 from oceaninv.optics import Rays
 from oceaninv.scene import Scene
@@ -57,15 +58,44 @@ def _arriving(scene: Scene, lamp: AbstractLamp, at):
     return across, irradiance
 
 
+def _lit(lamp: AbstractLamp, rays: Rays, end):
+    """Where on each ray a lamp can shine, metres: from 0 to `end`, or what of it lies in a cone."""
+    start = jnp.zeros_like(end)
+    if not isinstance(lamp, SpotLamp):
+        return start, end
+    apart = rays.origin - lamp.position[None, :]
+    height, rise = apart @ lamp.direction, rays.direction @ lamp.direction
+    squared = jnp.cos(jnp.deg2rad(lamp.half_angle)) ** 2
+    # (height + rise t)^2 = squared |apart + t direction|^2 on the cone and its mirror image.
+    a = rise**2 - squared
+    b = height * rise - squared * jnp.sum(apart * rays.direction, axis=1)
+    c = height**2 - squared * jnp.sum(apart**2, axis=1)
+    along = jnp.abs(a) < 64.0 * float(jnp.finfo(a.dtype).eps)  # beside the cone: all of the ray
+    root = safe_sqrt(b**2 - a * c)
+    large = -b - jnp.where(b >= 0, root, -root)
+    none = large == 0
+    pair = large / jnp.where(along, 1.0, a), jnp.where(none, 0.0, c / jnp.where(none, 1.0, large))
+    near, far = jnp.minimum(*pair), jnp.maximum(*pair)
+    # A ray steeper than the cone stays in it, or in its image; another passes through one of them.
+    steep, through = a > 0, (root > 0) & (height + 0.5 * rise * (near + far) > 0)
+    onward = rise > 0
+    first = jnp.where(steep, jnp.where(onward, far, start), near)
+    last = jnp.where(steep, jnp.where(onward, end, near), jnp.where(through, far, near))
+    first = jnp.where(along, start, jnp.clip(first, start, end))
+    return first, jnp.where(along, end, jnp.clip(last, first, end))
+
+
 def _scattered(scene: Scene, lamp: AbstractLamp, rays: Rays, end, steps: int):
-    """Scattered once on the way.  Steps are equal in the angle at which the lamp sees them, which
-    takes the inverse square of the distance out of the integral (Kulla & Fajardo 2012)."""
+    """Scattered once on the way, as far as the lamp shines on it.  Steps are equal in the angle at
+    which the lamp sees them, which takes the inverse square of the distance out of the integral
+    (Kulla & Fajardo 2012)."""
+    first, last = _lit(lamp, rays, end)
     apart = lamp.position[None, :] - rays.origin
     closest = jnp.sum(apart * rays.direction, axis=1)
     aside = apart - closest[:, None] * rays.direction
     gap = jnp.sqrt(jnp.sum(aside**2, axis=1) + _NEAREST**2)
-    low = jnp.arctan2(-closest, gap)
-    width = (jnp.arctan2(end - closest, gap) - low) / steps
+    low = jnp.arctan2(first - closest, gap)
+    width = (jnp.arctan2(last - closest, gap) - low) / steps
     water = homogeneous(scene)
     c_star = Scaled(water).softened.c_star[None, :]
 

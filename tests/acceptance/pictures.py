@@ -3,12 +3,12 @@
     python -m tests.acceptance.pictures            (writes pictures.md beside this file)
 
 The scene is scenes/three_spheres.toml without its balls: camera, sand floor, surface, sun and sky,
-in Jerlov waters of Solonenko & Mobley 2015 with the floor at the depth that the paper's table
-names, drawn with the colour-matching functions and turned into sRGB at one exposure, the truth's
-(its 99th percentile at 0.85).  Truth: discrete ordinates, 16 streams per hemisphere.  The printed
-formula gets what the paper gives it: its closure (eq 9) for multiple and the true phase function
-for single scattering, Kd by Lee et al. 2005, the floor's radiance, and the sky through the
-surface.
+in Jerlov waters of Solonenko & Mobley 2015 as the paper, and of Williamson & Hollins 2022 where
+they have the type, with the floor at the depth that the paper's table names, drawn with the
+colour-matching functions and turned into sRGB at one exposure, the truth's (its 99th percentile at
+0.85).  Truth: discrete ordinates, 16 streams per hemisphere.  The printed formula gets what the
+paper gives it: its closure (eq 9) for multiple and the true phase function for single scattering,
+Kd by Lee et al. 2005, the floor's radiance, and the sky through the surface.
 """
 
 import dataclasses
@@ -25,11 +25,13 @@ import jax.numpy as jnp  # noqa: E402
 import numpy as np  # noqa: E402
 
 import oceaninv as oi  # noqa: E402
+from oceaninv.bio_optics import jerlov_types  # noqa: E402
 from oceaninv.transport.kd import monzon2024  # noqa: E402
 
 SCENE = Path(__file__).parents[2] / "scenes" / "three_spheres.toml"
 WATERS = (("3C", 3.0), ("3C", 9.0), ("I", 5.0), ("IA", 9.0), ("IB", 5.0), ("II", 3.0))
 WIDTH, HEIGHT = 24, 16
+OTHER = "WilliamsonHollins2022"
 PHASES = {
     "Henyey-Greenstein 0.8": lambda: oi.phase.HenyeyGreenstein(0.8),
     "Petzold": oi.phase.petzold,
@@ -37,12 +39,12 @@ PHASES = {
 _SRGB = np.array([[3.2406, -1.5372, -0.4986], [-0.9689, 1.8758, 0.0415], [0.0557, -0.2040, 1.0570]])
 
 
-def scene(kind: str, depth: float, phase):
+def scene(kind: str, depth: float, phase, source: str = "SolonenkoMobley2015"):
     """The scene over a floor at `depth`, the camera 1.5 m above it."""
     found = oi.load_scene(SCENE)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        water = oi.jerlov(kind, found.scene.wavelength, phase=phase)
+        water = oi.jerlov(kind, found.scene.wavelength, source, phase)
     floor = oi.Floor(depth, found.scene.floor.reflectance)
     camera = dataclasses.replace(
         found.camera,
@@ -107,7 +109,10 @@ def run() -> str:
         "truth: PlaneParallel(streams=16).  The paper's own numbers for its scene are 0.059,",
         "0.041, 0.117, 0.107, 0.107, 0.107 (mean 0.090) against a path tracer.",
     ]
-    for name, make in PHASES.items():
+    known = [w for w in WATERS if w[0] in jerlov_types(OTHER)]
+    tables = [(name, make, "SolonenkoMobley2015", WATERS) for name, make in PHASES.items()]
+    tables.append((f"Petzold, {OTHER}", PHASES["Petzold"], OTHER, known))
+    for name, make, source, waters in tables:
         lines += [
             "",
             f"## {name}",
@@ -116,8 +121,8 @@ def run() -> str:
         ]
         lines += ["|---|---|---|---|"]
         columns = []
-        for kind, depth in WATERS:
-            one, camera = scene(kind, depth, make())
+        for kind, depth in waters:
+            one, camera = scene(kind, depth, make(), source)
             rays = camera.rays()
             weights = np.asarray(camera.response.weights(one.wavelength)).T
             truth = np.asarray(seen(one, rays, oi.PlaneParallel(streams=16))) @ weights
