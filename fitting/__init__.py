@@ -12,6 +12,7 @@ from fitting.profile import fit_profile
 from fitting.profiles import ProfileFits, fit_profiles, stream_profiles
 from fitting.readings import Background, Chart, Photo, Pixels
 from fitting.sampling import NUTS, joint_region, sample
+from fitting.smooth import SmoothKd, smooth_kd
 
 __all__ = [
     "NUTS",
@@ -33,6 +34,7 @@ __all__ = [
     "Profile",
     "ProfileFits",
     "Quantity",
+    "SmoothKd",
     "design",
     "fit_apparent",
     "fit_bulk",
@@ -44,5 +46,6 @@ __all__ = [
     "read_photograph",
     "read_range",
     "sample",
+    "smooth_kd",
     "stream_profiles",
 ]

@@ -81,7 +81,7 @@ def choose_interfaces(
     **Raises** ValueError if the samples do not suffice for so many layers.
     """
     used = depth[mask.any(axis=1)]
-    cast = _weighted(depth, light, floor, mask)
+    cast = weighted_lines(depth, light, floor, mask)
     found = _search(cast, used, layers or _MAX_LAYERS)
     cast.measure(found[-1])
     if cast.length > 0:
@@ -104,7 +104,7 @@ def choose_interfaces(
 def line_fit(depth, light, floor, mask, interfaces) -> tuple[np.ndarray, np.ndarray, float]:
     """Intercept and slope of ln light in each layer of one band, their covariance, and degrees of
     freedom; (depth, 1) arrays, weighted and whitened as in `choose_interfaces`."""
-    cast = _weighted(depth, light, floor, mask)
+    cast = weighted_lines(depth, light, floor, mask)
     cast.measure(interfaces)
     design, y, normal = cast.lanes(interfaces, cast.length)
     inverse = np.linalg.inv(normal[0])
@@ -114,7 +114,7 @@ def line_fit(depth, light, floor, mask, interfaces) -> tuple[np.ndarray, np.ndar
     return beta, inverse * (left @ left) / dof, dof
 
 
-def _weighted(depth, light, floor, mask) -> "_Lines":
+def weighted_lines(depth, light, floor, mask) -> "_Lines":
     safe = np.where(mask & (light > 0), light, 1.0)
     weight = np.where(mask & (light > 0), safe**2, 0.0)
     weight = weight / (safe**2 + (floor / RELATIVE_NOISE) ** 2)
