@@ -126,8 +126,8 @@ def main(folder: Path):
         "With the default nuisances of shape, and 5 % taken for granted, the intervals of "
         "chlorophyll covered 0.50 and its RMSE was 1.08.  That these spreads are doubled, and the "
         "spectrum of absorption free within 30 % at six wavelengths, was decided with these "
-        "stations in sight: factors tried between 0.05 and 0.5 on the latter alone gave 0.53 to "
-        "0.66 with the default spreads; of the former, wider slopes of CDOM and detritus do most.",
+        "stations in sight: 0.05 to 0.3 of the latter alone gave 0.53 to 0.66; of the former, "
+        "wider slopes of CDOM and detritus do most.",
     ]
     text = "\n".join(lines)
     print(text)
