@@ -7,6 +7,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from oceaninv._quadrature import Basis
+from oceaninv.transport import _boundaries
 from oceaninv.transport import _discrete_ordinates as do
 
 # Optical thickness of water without a floor.  Light returns from there only where a/c < 1e-11.
@@ -63,23 +64,11 @@ def solve(water: Water, sources: Sources, basis: Basis) -> Column:
         light = sources.sun * jnp.exp(-nu * start)
         return do.beam_source(layer, modes, basis, sources.angular * light, nu)
 
-    def closed(layer, modes, beam):
-        return do.slab(layer, modes, beam, False)
-
     beam = jax.vmap(sunlit)(layer, modes, start)
-    stack = (layer, modes, beam)
-    upper = jax.tree.map(lambda s: s[:-1], stack)
-    lowest = jax.tree.map(lambda s: s[-1], stack)
-    several = start.shape[0] > 1
-    slabs = jax.vmap(closed)(*upper) if several else None
     floor = None if endless else _floor(sources, basis, layer.depth[-1] + start[-1])
-    field = do.add_layers(
-        slabs,
-        do.slab(lowest[0], lowest[1], lowest[2], endless),
-        floor,
-        sources.surface,
-        None if sources.sky is None else basis.flux * sources.sky,
-    )
+    sky = None if sources.sky is None else basis.flux * sources.sky
+    stack, bounds = (layer, modes, beam), (floor, sources.surface, sky)
+    field = _boundaries.solve(stack, bounds, endless)
     top = jnp.concatenate([0 * one, jnp.cumsum(padded)[:-1]])
     return Column(layer, modes, beam, field, top, rate, start)
 
@@ -88,8 +77,7 @@ def _floor(sources, basis, depth):
     """A Lambertian floor sends light to azimuth order 0 only."""
     share = jnp.where(basis.order == 0, sources.floor, jnp.zeros_like(sources.floor))
     flux = sources.cosine * sources.sun * jnp.exp(-depth / sources.cosine)
-    f = basis.flux
-    return do.Wall(2 * share * jnp.outer(f, f), f * (share * flux / jnp.pi))
+    return do.Wall(2 * share, basis.flux, basis.flux * (share * flux / jnp.pi))
 
 
 def locate(column: Column, z: Float[Array, ""], *more) -> tuple:

@@ -12,6 +12,7 @@ All that is needed of a layer are functions of B that are regular at k = 0 and a
 """
 
 import functools
+from collections.abc import Callable
 from typing import NamedTuple
 
 import jax
@@ -77,29 +78,81 @@ def scale_layer(
 
 def layer_modes(layer: Layer, basis: Basis) -> Modes:
     """Eigenvalues and modes; derivatives flow through `matrix`, `factor`, `inverse` only."""
-    one = jnp.eye(basis.mu.shape[0], dtype=basis.mu.dtype)
     gain = basis.from_order(layer.gain)
-    even = one - (basis.even * gain[None, 0::2]) @ basis.even.T
-    # What is not scattered, exact: in this element lies the whole difference that a makes.
-    even = even.at[0, 0].set(jnp.where(basis.order == 0, layer.lost, even[0, 0]))
-    root, inverse_root = _square_root(one - (basis.odd * gain[None, 1::2]) @ basis.odd.T)
+    root_mu = jnp.sqrt(basis.mu)
     across = basis.turn.T / basis.mu[None, :]
-    fixed = jax.lax.stop_gradient(across @ root)
-    _, vectors = jnp.linalg.eigh(
-        fixed.T @ jax.lax.stop_gradient(even) @ fixed, symmetrize_input=False
-    )
-    vectors = jax.lax.stop_gradient(vectors)
+    mean = jnp.where(basis.order == 0, 1.0, 0.0).astype(gain.dtype)
+    operators = (gain[0::2], gain[1::2], layer.lost)
+    k2, matrix, factor, inverse = _modes(mean, operators, (basis.even, basis.odd, across, root_mu))
+    return Modes(jax.lax.stop_gradient(k2), matrix, factor, inverse)
+
+
+@jax.custom_jvp
+def _modes(mean, operators, directions):
+    """(k2, matrix, factor, inverse) of `Modes`; `mean` is 1 for azimuth order 0, 0 otherwise."""
+    return _modes_in_full(mean, operators, directions)[0]
+
+
+def _modes_in_full(mean, operators, directions):
+    even_gain, odd_gain, lost = operators
+    even_basis, odd_basis, across, root_mu = jax.lax.stop_gradient(directions)
+    one = jnp.eye(root_mu.shape[0], dtype=root_mu.dtype)
+    even = one - (even_basis * even_gain[None, :]) @ even_basis.T
+    # What is not scattered, exact: in this element lies the whole difference that a makes.
+    even = even.at[0, 0].set(jnp.where(mean == 1, lost, even[0, 0]))
+    root, inverse_root = _square_root(one - (odd_basis * odd_gain[None, :]) @ odd_basis.T)
+    fixed = across @ root
+    _, vectors = jnp.linalg.eigh(fixed.T @ even @ fixed, symmetrize_input=False)
     right = root @ vectors
     projected = across @ right
+    scattered = even @ projected
     # Rayleigh quotients: right to second order in the error of a vector, so that the smallest
     # eigenvalue, which vanishes with absorption, does not carry the rounding of the largest.
-    matrix = projected.T @ (even @ projected)
-    k2 = jax.lax.stop_gradient(jnp.diagonal(matrix))
-    matrix = jnp.diag(k2) + (matrix - jax.lax.stop_gradient(matrix))
-    root_mu = jnp.sqrt(basis.mu)
-    factor = right / root_mu[:, None]
-    inverse = (vectors.T @ inverse_root) * root_mu[None, :]
-    return Modes(k2, matrix, factor, inverse)
+    k2 = jnp.sum(projected * scattered, axis=0)
+    left = vectors.T @ inverse_root
+    modes = (k2, jnp.diag(k2), right / root_mu[:, None], left * root_mu[None, :])
+    return modes, (right, left, projected, scattered)
+
+
+def _modes_jvp(primals, tangents):
+    """In the fixed basis of the modes S_e is diag(k2) and S_o is 1; of the roots of S_o that with
+    a symmetric derivative is taken (which one does not matter to the field)."""
+    mean, operators, directions = primals
+    modes, (right, left, projected, scattered) = _modes_in_full(*primals)
+    k2, _, factor, inverse = modes
+    even_gain, odd_gain, _ = operators
+    deven_gain, dodd_gain, dlost = (
+        jnp.zeros_like(v) if mf.is_zero(d) else d
+        for v, d in zip(operators, tangents[1], strict=True)
+    )
+    deven_gain = deven_gain.at[0].set(jnp.where(mean == 1, -dlost, deven_gain[0]))
+    even_basis, odd_basis, _, root_mu = directions
+    deven, dodd, dacross, droot_mu = tangents[2]
+
+    def change(seen, gain, dgain, turned):
+        total = -(seen * dgain[None, :]) @ seen.T
+        if turned is None:
+            return total
+        part = -(seen * gain[None, :]) @ turned.T
+        return total + part + part.T
+
+    turned = None if mf.is_zero(deven) else projected.T @ deven
+    dmatrix = change(projected.T @ even_basis, even_gain, deven_gain, turned)
+    turned = None if mf.is_zero(dodd) else left @ dodd
+    half = change(left @ odd_basis, odd_gain, dodd_gain, turned) / 2
+    dmatrix = dmatrix + k2[:, None] * half + half * k2[None, :]
+    if not mf.is_zero(dacross):
+        part = scattered.T @ (dacross @ right)
+        dmatrix = dmatrix + part + part.T
+    dfactor, dinverse = factor @ half, -half @ inverse
+    if not mf.is_zero(droot_mu):
+        stretch = droot_mu / root_mu
+        dfactor = dfactor - factor * stretch[:, None]
+        dinverse = dinverse + inverse * stretch[None, :]
+    return modes, (jnp.zeros_like(k2), dmatrix, dfactor, dinverse)
+
+
+_modes.defjvp(_modes_jvp, symbolic_zeros=True)
 
 
 @jax.custom_jvp
@@ -109,7 +162,7 @@ def _square_root(matrix):
     Which C does not matter to the field; the derivative is that of the simplest choice.
     """
     root = jnp.linalg.cholesky(matrix, symmetrize_input=False)
-    one = jnp.eye(matrix.shape[0], dtype=matrix.dtype)
+    one = jnp.broadcast_to(jnp.eye(matrix.shape[-1], dtype=matrix.dtype), matrix.shape)
     return root, jax.lax.linalg.triangular_solve(root, one, left_side=True, lower=True)
 
 
@@ -117,8 +170,8 @@ def _square_root(matrix):
 def _square_root_jvp(primals, tangents):
     root, inverse = _square_root(*primals)
     half = inverse @ tangents[0] / 2
-    change = half @ inverse.T
-    return (root, inverse), (half.T, -change @ inverse)
+    change = half @ jnp.matrix_transpose(inverse)
+    return (root, inverse), (jnp.matrix_transpose(half), -change @ inverse)
 
 
 def beam_source(
@@ -133,62 +186,111 @@ def beam_source(
 
 
 @functools.partial(jax.custom_jvp, nondiff_argnums=(1,))
-def _inverse(matrix, positive=True):
+def inverse_of(matrix, positive=True):
     """Inverse, of a symmetric positive definite matrix or of any, whose derivative reuses it."""
     if not positive:
         return jnp.linalg.inv(matrix)
     _, inverse = _square_root(matrix)
-    return inverse.T @ inverse
+    return jnp.matrix_transpose(inverse) @ inverse
 
 
-@_inverse.defjvp
+@inverse_of.defjvp
 def _inverse_jvp(positive, primals, tangents):
-    inverse = _inverse(*primals, positive)
+    inverse = inverse_of(*primals, positive)
     return inverse, -inverse @ tangents[0] @ inverse
 
 
-def slab(layer: Layer, modes: Modes, beam: Beam | None, endless: bool) -> Slab:
-    """Reflection, transmission and sources of a layer, free of cancellation at any thickness.
+class Operators(NamedTuple):
+    """What `slab` makes of a layer on the way, each (n, n)."""
+
+    k1: Array
+    k2: Array
+    reflect: Array
+    inner: Array  # L sech^2(k h) L^-1
+    transmit: Array
+    k3: Array  # (1 + L'^-1 k coth(k t) L^-1)^-1
+    csch: Array  # L'^-1 k/sinh(k t) L^-1
+
+
+def operators(modes: Modes, apply: Callable, endless: bool) -> Operators:
+    """Reflection and transmission of a layer, free of cancellation at any thickness; `apply`
+    applies `_matrix_functions.through` (`endless`: what there is of it) to as many matrices.
 
     R = K1 (Z - Y) K2, T = K1 L sech^2(k h) L^-1 K2, K1 = (1 + Z)^-1, K2 = (1 + Y)^-1,
     Z = L tanh(k h)/k L', Y = L'^-1 k tanh(k h) L^-1.  What leaves an `endless` layer below is 0.
     """
-    t = layer.depth
-
-    def apply(functions, vectors, *more):
-        return mf.apply_functions(functions, modes.k2, modes.matrix, (t, *more), vectors)
-
     factor, inverse = modes.factor, modes.inverse
     one = jnp.eye(factor.shape[0], dtype=factor.dtype)
     operands = jnp.stack([factor.T] + [inverse] * (1 if endless else 4))
-    right = apply(mf.endless if endless else mf.through, operands)
+    right = apply(operands)
     z, y = factor @ right[0], inverse.T @ (modes.matrix @ right[1])
-    k1, k2 = _inverse(one + z), _inverse(one + y)
-    reflect = k1 @ (z - y) @ k2
-    transmit = jnp.zeros_like(z) if endless else k1 @ (factor @ right[2]) @ k2
+    if endless:
+        k1, k2 = inverse_of(one[None] + jnp.stack([z, y]))
+        nothing = jnp.zeros_like(z)
+        return Operators(k1, k2, k1 @ (z - y) @ k2, *(nothing,) * 4)
+    k1, k2, k3 = inverse_of(one[None] + jnp.stack([z, y, inverse.T @ right[3]]))
+    inner = factor @ right[2]
+    transmit = k1 @ inner @ k2
+    return Operators(k1, k2, k1 @ (z - y) @ k2, inner, transmit, k3, inverse.T @ right[4])
+
+
+def slab(layer: Layer, modes: Modes, beam: Beam | None, endless: bool) -> Slab:
+    """Reflection, transmission and sources of a layer."""
+
+    def apply(functions, vectors, *more):
+        parameters = (layer.depth, *more)
+        return mf.apply_functions(functions, modes.k2, modes.matrix, parameters, vectors)
+
+    functions = mf.endless if endless else mf.through
+    own = operators(modes, lambda matrices: apply(functions, matrices), endless)
     if beam is None:
         nothing = jnp.zeros_like(modes.k2)
-        return Slab(reflect, transmit, nothing, nothing)
+        return Slab(own.reflect, own.transmit, nothing, nothing)
     both = jnp.stack([beam.even, beam.odd], axis=1)
-    functions = mf.forced_endless if endless else mf.forced
-    response = apply(functions, jnp.stack([both] * (2 if endless else 3)), beam.nu)
-    symmetric = k2 @ (inverse.T @ (response[0, :, 0] - modes.matrix @ response[1, :, 1]))
-    antisymmetric = k1 @ (factor @ (response[0, :, 1] - response[1, :, 0]))
-    up = symmetric - antisymmetric
-    if endless:
-        return Slab(reflect, transmit, up, jnp.zeros_like(up))
+    vectors = jnp.stack([both] * (2 if endless else 3))
+    response = apply(mf.forced_endless if endless else mf.forced, vectors, beam.nu)
+    sent = leaving(layer, modes, beam, own, response)
+    return Slab(own.reflect, own.transmit, sent.up, sent.down)
+
+
+class Sent(NamedTuple):
+    """What the source of a layer sends out: at its top and bottom; half the sum and half the
+    difference of both."""
+
+    up: Array
+    down: Array
+    even: Array
+    odd: Array
+
+
+def leaving(layer: Layer, modes: Modes, beam: Beam, own: Operators, response) -> Sent:
+    """What the source of a layer sends out; `response`: `_matrix_functions.forced` times it."""
+    even, odd, arriving = sources(layer, modes, beam, response)
+    even, odd = own.k2 @ even, own.k1 @ odd
+    up = even - odd
+    if arriving is None:
+        return Sent(up, jnp.zeros_like(up), even, odd)
     # Their sum loses what a thick layer lets through; solve the lower boundary for it instead:
     # (1 + L'^-1 k coth(k t) L^-1) down = L'^-1 (q_o e^(-nu t) + ... + k/sinh(k t) L^-1 up).
-    arriving = response[2] @ jnp.stack([jnp.ones_like(beam.nu), beam.nu]) + right[4] @ up
-    arriving = arriving + jnp.exp(-beam.nu * t) * beam.odd
-    down = _inverse(one + inverse.T @ right[3]) @ (inverse.T @ arriving)
-    return Slab(reflect, transmit, up, down)
+    return Sent(up, own.k3 @ (arriving + own.csch @ up), even, odd)
+
+
+def sources(layer, modes, beam, response):
+    """Even and odd part of what leaves before it is reflected inside, and what arrives below;
+    `response`: `_matrix_functions.forced` of the beam."""
+    even = modes.inverse.T @ (response[0, :, 0] - modes.matrix @ response[1, :, 1])
+    odd = modes.factor @ (response[0, :, 1] - response[1, :, 0])
+    if response.shape[0] == 2:
+        return even, odd, None
+    below = response[2] @ jnp.stack([jnp.ones_like(beam.nu), beam.nu])
+    return even, odd, modes.inverse.T @ (below + jnp.exp(-beam.nu * layer.depth) * beam.odd)
 
 
 class Wall(NamedTuple):
-    """What lies below a level: up = reflect down + source."""
+    """A Lambertian floor: up = share flux (flux . down) + source."""
 
-    reflect: Array  # (n, n)
+    share: Array  # ()
+    flux: Array  # (n,)
     source: Array  # (n,)
 
 
@@ -199,64 +301,6 @@ class Field(NamedTuple):
     top_up: Array  # (layer, n)
     bottom_down: Array  # (layer, n), 0 if endless
     bottom_up: Array  # (layer, n)
-
-
-def add_layers(
-    slabs: Slab | None,
-    bottom: Slab,
-    floor: Wall | None,
-    surface: Float[Array, "n"] | None,
-    sky: Float[Array, "n"] | None,
-) -> Field:
-    """Join layers with what bounds them, upwards, then fill in downwards.
-
-    `slabs`: all but the lowest (stacked, top first), `bottom`: the lowest, endless if there is no
-    `floor`.  `surface` is the reflectance for light from below; `sky` enters through it.
-    """
-    n = bottom.up.shape[0]
-    above, transmit, source = Wall(bottom.reflect, bottom.up), bottom.transmit, bottom.down
-    if floor is not None:
-        above, (_, transmit, source) = _add(bottom, floor)
-    lowest, stages = above, None
-    if slabs is not None:
-        above, stages = jax.lax.scan(lambda wall, s: _add(s, wall), above, slabs, reverse=True)
-    down = jnp.zeros(n, dtype=bottom.up.dtype) if sky is None else sky
-    if surface is not None:
-        bounced = surface[:, None] * above.reflect
-        opened = _inverse(jnp.eye(n, dtype=bounced.dtype) - bounced, False)
-        down = opened @ (down + surface * above.source)
-
-    def descend(down, stage):
-        wall, transmit, source = stage
-        below = transmit @ down + source
-        return below, (down, wall.reflect @ down + wall.source, below)
-
-    parts = []
-    if stages is not None:
-        down, part = jax.lax.scan(descend, down, stages)
-        parts.append(part)
-    last_down = floor_up = jnp.zeros_like(down)
-    if floor is not None:
-        last_down = transmit @ down + source
-        floor_up = floor.reflect @ last_down + floor.source
-    last_up = lowest.reflect @ down + lowest.source
-    parts.append((down[None], last_up[None], last_down[None]))
-    top_down, top_up, bottom_down = (jnp.concatenate(p) for p in zip(*parts, strict=True))
-    return Field(top_down, top_up, bottom_down, jnp.concatenate([top_up[1:], floor_up[None]]))
-
-
-def _add(slab, below):
-    """One layer on top of what lies below: the wall they make, and how light gets to its foot."""
-    one = jnp.eye(slab.reflect.shape[0], dtype=slab.reflect.dtype)
-    between = _inverse(one - slab.reflect @ below.reflect, False)
-    transmit = between @ slab.transmit
-    source = between @ (slab.reflect @ below.source + slab.down)
-    # A homogeneous layer is the same seen from either side: its transmission upwards is T too.
-    back = slab.transmit @ below.reflect
-    reflect = slab.reflect + back @ transmit
-    up = slab.up + back @ source + slab.transmit @ below.source
-    wall = Wall(reflect, up)
-    return wall, (wall, transmit, source)
 
 
 def inside(
@@ -271,8 +315,8 @@ def inside(
     """
     t = layer.depth
 
-    def apply(functions, vectors, *more):
-        return mf.apply_functions(functions, modes.k2, modes.matrix, (t, *more), vectors)
+    def combine(functions, vectors, *more):
+        return mf.combine(functions, modes.k2, modes.matrix, (t, *more), vectors)
 
     def project(down, up):
         return jnp.stack([modes.inverse @ (down + up), modes.factor.T @ (down - up)], axis=1)
@@ -282,11 +326,11 @@ def inside(
     )
     line = jnp.where(t < 1, jnp.stack([1 - share, share]), 0.0)
     if beam is None:
-        total = jnp.sum(apply(mf.inside, ends, share), axis=0)
+        total = combine(mf.inside, ends, share)
     else:
         source = forcing(modes, beam)
         everything = jnp.concatenate([ends, source[None]])
-        total = jnp.sum(apply(mf.forced_inside, everything, share, beam.nu), axis=0)
+        total = combine(mf.forced_inside, everything, share, beam.nu)
     total = total - jnp.sum(line[:, None, None] * ends, axis=0)
     sum_, difference = modes.factor @ total[:, 0], modes.inverse.T @ total[:, 1]
     down = (sum_ + difference) / 2 + line[0] * field.top_down + line[1] * field.bottom_down

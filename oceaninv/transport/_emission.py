@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from oceaninv._quadrature import Basis
-from oceaninv.transport import _column, _ray
+from oceaninv.transport import _adding, _column, _ray
 from oceaninv.transport import _discrete_ordinates as do
 from oceaninv.transport import _matrix_functions as mf
 
@@ -153,9 +153,9 @@ def solve(
     floor = None
     if sources.floor is not None:
         share = jnp.where(basis.order == 0, sources.floor, jnp.zeros_like(sources.floor))
-        floor = do.Wall(2 * share * jnp.outer(basis.flux, basis.flux), 0 * basis.flux)
+        floor = do.Wall(2 * share, basis.flux, 0 * basis.flux)
     bottom = _slab(lowest[0], lowest[1], lowest[2], endless)
-    return Column(glows, do.add_layers(slabs, bottom, floor, sources.surface, None))
+    return Column(glows, _adding.add_layers(slabs, bottom, floor, sources.surface, None))
 
 
 def _closed(layer: do.Layer, modes: do.Modes, glow: Glow) -> do.Slab:

@@ -3,8 +3,9 @@
 A homogeneous layer is solved by functions f(B) of one symmetric positive semi-definite matrix B,
 all regular in B even where an eigenvalue vanishes (no absorption) or meets the sun's 1/mu0.  Here
 B is given in the basis of its own eigenvectors, held fixed: its value is diagonal, its derivative
-full.  Then df = F o dB with F the divided differences of f, so no derivative of an eigenvector,
-with its 1/(x_i - x_j), is ever formed (Daleckii and Krein 1951; Higham 2008, theorem 3.11).
+full.  Then df = F o dB with F the divided differences of f, which are bounded where a derivative
+of an eigenvector, with its 1/(x_i - x_j), is not (Daleckii and Krein 1951; Higham 2008, theorem
+3.11).
 """
 
 import functools
@@ -13,6 +14,8 @@ from collections.abc import Callable
 
 import jax
 import jax.numpy as jnp
+import numpy as np
+from jax.custom_derivatives import SymbolicZero
 from jaxtyping import Array, Float
 
 from oceaninv._numerics import exp_mean3
@@ -32,13 +35,15 @@ def mean_decay(x):
 @mean_decay.defjvp
 def _mean_decay_jvp(primals, tangents):
     (x,) = primals
-    value = mean_decay(x)
+    lost = jnp.expm1(-x)
+    zero = x == 0
+    value = jnp.where(zero, 1.0, -lost / jnp.where(zero, 1.0, x))
     small = x < 0.1
     low = jnp.where(small, x, 0.0)
     series = jnp.zeros_like(x)
     for n in range(9, 0, -1):
         series = -series * low + n / math.factorial(n + 1)
-    slope = (jnp.exp(-x) - value) / jnp.where(small, 1.0, x)
+    slope = (1 + lost - value) / jnp.where(small, 1.0, x)
     return value, jnp.where(small, -series, slope) * tangents[0]
 
 
@@ -47,10 +52,15 @@ def mean_decay_between(x, y):
     return jnp.exp(-jnp.minimum(x, y)) * mean_decay(jnp.abs(x - y))
 
 
+# Exponentials and means are taken of stacked arguments: each in the program costs compile time.
+
+
 def through(k, t):
     """tanh(k h)/k twice, 1/cosh(k h)^2, k coth(k t) and k/sinh(k t)."""
-    decay = jnp.exp(-k * t)
-    mean = mean_decay(k * t)
+    return _through(t, jnp.exp(-k * t), mean_decay(k * t))
+
+
+def _through(t, decay, mean):
     tanh = t * mean / (1 + decay)
     scale = t * mean * (1 + decay) / 2
     coth, csch = (1 + decay**2) / (2 * scale), decay / scale
@@ -65,12 +75,7 @@ def endless(k, t):
 def forced(k, t, nu):
     """With e = e^(-nu s) integrated over the layer: half of e cosh(k(s - h))/cosh(k h); half of
     e sinh(k(h - s))/(k cosh(k h)); and e sinh(k s)/sinh(k t)."""
-    decay, beam = jnp.exp(-k * t), jnp.exp(-nu * t)
-    mean, between = mean_decay(k * t), mean_decay_between(k * t, nu * t)
-    p = t / 2 * (mean_decay((k + nu) * t) + between) / (1 + decay)
-    q = (t * mean / (1 + decay) * (1 + beam) / 2 - p) / nu  # integration by parts
-    below = (2 * between / (mean * (1 + decay)) - beam) / (k + nu)
-    return jnp.stack([p, q, below])
+    return sunlit(k, t, nu)[5:]
 
 
 def forced_endless(k, t, nu):
@@ -78,19 +83,40 @@ def forced_endless(k, t, nu):
     return forced(k, t, nu)[:2]
 
 
+def sunlit(k, t, nu):
+    """`through`, then `forced`."""
+    decay, nearer, beam = jnp.exp(-t * jnp.stack([k, jnp.minimum(k, nu), 0 * k + nu]))
+    mean, both, apart = mean_decay(t * jnp.stack([k, k + nu, jnp.abs(k - nu)]))
+    between = nearer * apart
+    p = t / 2 * (both + between) / (1 + decay)
+    q = (t * mean / (1 + decay) * (1 + beam) / 2 - p) / nu  # integration by parts
+    below = (2 * between / (mean * (1 + decay)) - beam) / (k + nu)
+    return jnp.concatenate([_through(t, decay, mean), jnp.stack([p, q, below])])
+
+
+def sunlit_endless(k, t, nu):
+    """The first two of `through` and of `forced`."""
+    every = sunlit(k, t, nu)
+    return jnp.concatenate([every[:2], every[5:7]])
+
+
 def inside(k, t, share):
     """sinh(k(t - s))/sinh(k t) and sinh(k s)/sinh(k t) at s = share t."""
-    rest, s = k * (1 - share) * t, k * share * t
-    whole = mean_decay(2 * k * t)
-    top = jnp.exp(-s) * (1 - share) * mean_decay(2 * rest) / whole
-    return jnp.stack([top, jnp.exp(-rest) * share * mean_decay(2 * s) / whole])
+    s, rest = k * t * share, k * t * (1 - share)
+    decay = jnp.exp(-jnp.stack([s, rest]))
+    upper, lower, whole = mean_decay(2 * jnp.stack([rest, s, k * t]))
+    shares = jnp.stack([1 - share, share])
+    return decay * shares[:, None] * jnp.stack([upper, lower]) / whole[None]
 
 
 def forced_inside(k, t, share, nu):
     """`inside`, and W with W'' - k^2 W = -e^(-nu s), W(0) = W(t) = 0."""
     ends = inside(k, t, share)
-    far = share * t * mean_decay_between(k * share * t, nu * share * t)
-    image = t * mean_decay_between(k * t, nu * t)
+    lengths = t * jnp.stack([share, jnp.ones_like(share)])
+    nearer, apart = jnp.minimum(k, nu)[None], jnp.abs(k - nu)[None]
+    far, image = lengths[:, None] * (
+        jnp.exp(-nearer * lengths[:, None]) * mean_decay(apart * lengths[:, None])
+    )
     return jnp.concatenate([ends, ((far - ends[1] * image) / (k + nu))[None]])
 
 
@@ -127,33 +153,142 @@ def apply_functions(
 
     `functions(k, *parameters)` is (f, n); the first parameter is the length scale t.
     """
-    return functions(_root(x), *parameters)[:, :, None] * vectors
+    return functions(root(x), *parameters)[:, :, None] * vectors
 
 
-@apply_functions.defjvp
 def _apply_functions_jvp(functions, primals, tangents):
-    x, _, parameters, vectors = primals
-    _, dmatrix, dparameters, dvectors = tangents
+    vectors = primals[3]
+    values, changed, slope = _derivatives(functions, primals, tangents)
+    found = values[:, :, None] * vectors
+    tangent = jnp.zeros_like(vectors)
+    if not is_zero(tangents[3]):
+        tangent = tangent + values[:, :, None] * tangents[3]
+    if changed is not None:
+        tangent = tangent + changed[:, :, None] * vectors
+    if slope is not None:
+        apart, close = _split_change(primals, tangents)
+        slopes = slope[:, :, None] * vectors
+        tangent = tangent + values[:, :, None] * (apart @ vectors) - apart @ found
+        tangent = tangent + (slope[:, :, None] * (close @ vectors) + close @ slopes) / 2
+    return found, tangent
+
+
+apply_functions.defjvp(_apply_functions_jvp, symbolic_zeros=True)
+
+
+@functools.partial(jax.custom_jvp, nondiff_argnums=(0,))
+def combine(
+    functions: Callable,
+    x: Float[Array, "n"],
+    matrix: Float[Array, "n n"],
+    parameters: tuple,
+    vectors: Float[Array, "f n m"],
+) -> Float[Array, "n m"]:
+    """The sum of `apply_functions` over its functions."""
+    return jnp.sum(functions(root(x), *parameters)[:, :, None] * vectors, axis=0)
+
+
+def _combine_jvp(functions, primals, tangents):
+    vectors = primals[3]
+    values, changed, slope = _derivatives(functions, primals, tangents)
+    total = jnp.sum(values[:, :, None] * vectors, axis=0)
+    tangent = jnp.zeros_like(total)
+    if not is_zero(tangents[3]):
+        tangent = tangent + jnp.sum(values[:, :, None] * tangents[3], axis=0)
+    if changed is not None:
+        tangent = tangent + jnp.sum(changed[:, :, None] * vectors, axis=0)
+    if slope is not None:
+        apart, close = _split_change(primals, tangents)
+        mean = slope[:, :, None] / 2
+        tangent = tangent + jnp.sum(values[:, :, None] * (apart @ vectors), axis=0)
+        tangent = tangent + jnp.sum(mean * (close @ vectors), axis=0)
+        tangent = tangent + close @ jnp.sum(mean * vectors, axis=0) - apart @ total
+    return total, tangent
+
+
+combine.defjvp(_combine_jvp, symbolic_zeros=True)
+
+
+def is_zero(tangent) -> bool:
+    """Whether a tangent is known to vanish, so that no program need be made for it."""
+    return isinstance(tangent, SymbolicZero)
+
+
+def change(function: Callable, primals, tangents):
+    """The tangent of a function's value, of which no more is made than its moving inputs need."""
+    leaves, tree = jax.tree.flatten(primals)
+    slopes = jax.tree.leaves(tangents, is_leaf=is_zero)
+    moving = [i for i, d in enumerate(slopes) if not is_zero(d)]
+
+    def vary(*some):
+        every = list(leaves)
+        for i, value in zip(moving, some, strict=True):
+            every[i] = value
+        return function(jax.tree.unflatten(tree, every))
+
+    some, changes = (tuple(v[i] for i in moving) for v in (leaves, slopes))
+    if not moving:
+        return jax.tree.map(jnp.zeros_like, function(primals))
+    return jax.jvp(vary, some, changes)[1]
+
+
+def expand(functions: Callable, x, parameters: tuple, moving: list[int]):
+    """Values of functions at k = sqrt(x), each (f, n), their slopes in x, and in the parameters
+    whose places are `moving`, in one evaluation."""
     # df/dx = (df/dk)/(2k) loses eps/(k t)^2; f is analytic in x: take it at a small k t instead.
-    k = _root(x)
-    values, dvalues = jax.jvp(lambda *p: functions(k, *p), parameters, dparameters)
-    k = jnp.maximum(k, float(jnp.finfo(x.dtype).eps) ** 0.25 / parameters[0])
-    _, slope = jax.jvp(lambda k: functions(k, *parameters), (k,), (jnp.ones_like(k),))
-    slope = slope / (2 * k)[None, :]
-    change = (_divided_differences(x, values, slope, parameters[0]) * dmatrix[None]) @ vectors
-    tangent = values[:, :, None] * dvectors + dvalues[:, :, None] * vectors + change
-    return values[:, :, None] * vectors, tangent
+    k = root(x)
+    safe = jnp.maximum(k, float(jnp.finfo(x.dtype).eps) ** 0.25 / parameters[0])
+
+    def of(some):
+        every = list(parameters)
+        for i, value in zip(moving, some[1:], strict=True):
+            every[i] = value
+        return functions(some[0], *every)
+
+    some = tuple(parameters[i] for i in moving)
+    count = 1 + len(some)
+    units = []
+    for place, value in enumerate((k, *some)):
+        unit = np.eye(count)[place].reshape((count,) + (1,) * value.ndim)
+        unit = jnp.asarray(unit, dtype=value.dtype)
+        units.append(jnp.broadcast_to(unit, (count, *value.shape)))
+
+    def at(k):
+        along = lambda *unit: jax.jvp(of, ((k, *some),), (unit,))  # noqa: E731
+        return jax.vmap(along, out_axes=(None, 0))(*units)
+
+    values, slopes = jax.vmap(at)(jnp.stack([k, safe]))
+    return values[0], slopes[1, 0] / (2 * safe)[None, :], slopes[0, 1:]
 
 
-def _root(x):
+def _derivatives(functions, primals, tangents):
+    """Values, their change with the parameters and their slope in x; None: no change."""
+    x, _, parameters, _ = primals
+    _, dmatrix, dparameters, _ = tangents
+    moving = [i for i, d in enumerate(dparameters) if not is_zero(d)]
+    if not moving and is_zero(dmatrix):
+        return functions(root(x), *parameters), None, None
+    values, slope, slopes = expand(functions, x, parameters, moving)
+    changed = None
+    for i, part in zip(moving, slopes, strict=True):
+        part = part * dparameters[i]
+        changed = part if changed is None else changed + part
+    return values, changed, None if is_zero(dmatrix) else slope
+
+
+def root(x):
     positive = x > 0
     return jnp.where(positive, jnp.sqrt(jnp.where(positive, x, 1.0)), 0.0)
 
 
-def _divided_differences(x, values, slope, t):
-    """(f(x_i) - f(x_j))/(x_i - x_j), the mean slope where x_i and x_j are close."""
+def _split_change(primals, tangents):
+    """Parts of dB for df = F o dB, F_ij = (f_i - f_j)/(x_i - x_j), the mean slope where x_i and
+    x_j are close: with P = dB/(x_i - x_j) elsewhere and C = dB there, which no f enters,
+    df = f P - P f + (f' C + C f')/2."""
+    x, _, parameters, _ = primals
+    change = tangents[1]
     difference = x[:, None] - x[None, :]
     near = float(jnp.finfo(x.dtype).eps) ** (1 / 3)
-    close = jnp.abs(difference) <= near * (x[:, None] + x[None, :] + 1 / t**2)
-    quotient = (values[:, :, None] - values[:, None, :]) / jnp.where(close, 1.0, difference)[None]
-    return jnp.where(close[None], (slope[:, :, None] + slope[:, None, :]) / 2, quotient)
+    close = jnp.abs(difference) <= near * (x[:, None] + x[None, :] + 1 / parameters[0] ** 2)
+    apart = jnp.where(close, 0.0, change / jnp.where(close, 1.0, difference))
+    return apart, jnp.where(close, change, 0.0)

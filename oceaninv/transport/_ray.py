@@ -138,8 +138,8 @@ def multiple_scattering(
         forcing = do.forcing(modes, beam) * light
         vectors = jnp.stack([project(*near), project(far_down, far_up), forcing])
         parameters = (length, 1 / sight.mu, beam.nu, sight.up)
-        total = mf.apply_functions(mf.forced_seen, modes.k2, modes.matrix, parameters, vectors)
-        sums, differences = jnp.sum(total[..., 0], axis=0), jnp.sum(total[..., 1], axis=0)
+        total = mf.combine(mf.forced_seen, modes.k2, modes.matrix, parameters, vectors)
+        sums, differences = total[:, 0], total[:, 1]
         return scattered(layer, modes, basis, sight, angular, sums, differences)
 
     leaves = (column.layer, column.modes, column.beam, column.field)
