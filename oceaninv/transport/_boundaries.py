@@ -18,7 +18,7 @@ from oceaninv.transport import _matrix_functions as mf
 @functools.partial(jax.custom_jvp, nondiff_argnums=(2,))
 def solve(stack, bounds, endless: bool) -> do.Field:
     """The field of layers `stack`: (layer, modes, beam), leading axis for layers, top first;
-    between `bounds`: (floor, surface, sky) as of `_adding.add_layers`.  `endless`: the lowest one."""
+    between `bounds`: (floor, surface, sky) of `_adding.add_layers`.  `endless`: the lowest."""
     return _solve(stack, bounds, endless)[0]
 
 
