@@ -18,7 +18,8 @@ from oceaninv.transport import _matrix_functions as mf
 @functools.partial(jax.custom_jvp, nondiff_argnums=(2,))
 def solve(stack, bounds, endless: bool) -> do.Field:
     """The field of layers `stack`: (layer, modes, beam), leading axis for layers, top first;
-    between `bounds`: (floor, surface, sky) of `_adding.add_layers`.  `endless`: the lowest."""
+    between `bounds`: (floor, surface, sky) of `_adding.add_layers`.  `endless`: nothing leaves the
+    only one below."""
     return _solve(stack, bounds, endless)[0]
 
 
@@ -26,9 +27,8 @@ def _solve(stack, bounds, endless, moving=None):
     """`moving`: of depth and nu those (0, 1) that derivatives are taken in, so that the values of
     functions are those of `_effects`: made once."""
     floor, surface, sky = bounds
-    upper, lowest = _split(stack)
 
-    def respond(stack, endless):
+    def respond(stack):
         layer, modes, beam = stack
         functions = mf.sunlit_endless if endless else mf.sunlit
         parameters = (layer.depth, beam.nu)
@@ -42,29 +42,17 @@ def _solve(stack, bounds, endless, moving=None):
         both = jnp.stack([beam.even, beam.odd], axis=1)
         return own, do.leaving(layer, modes, beam, own, values[count:] * both[None])
 
-    own, sent = jax.tree.map(lambda v: v[None], respond(lowest, endless))
-    if upper is not None:
-        others = jax.vmap(lambda layer: respond(layer, False))(upper)
-        own, sent = jax.tree.map(lambda *v: jnp.concatenate(v), others, (own, sent))
+    # All layers at once: the batched factorisations of LAPACK share the threads that run them, and
+    # as many of them at a time as there are threads would wait for each other for ever.
+    own, sent = jax.vmap(respond)(stack)
     none = jnp.zeros_like(sent.up)
-    upper, lowest = _split(do.Slab(own.reflect, own.transmit, none, none))
+    bare = do.Slab(own.reflect, own.transmit, none, none)
+    upper = None if none.shape[0] == 1 else jax.tree.map(lambda v: v[:-1], bare)
+    lowest = jax.tree.map(lambda v: v[-1], bare)
     joined = _adding.join(upper, lowest, floor, surface)
     returned = None if floor is None else floor.source
     field = _adding.fill(joined, sent.up, sent.down, returned, none[0] if sky is None else sky)
     return field, joined, own, sent
-
-
-def _split(stack):
-    """All layers but the lowest, or None if it is alone, and the lowest.  Tangents that are known
-    to vanish stay so."""
-
-    def part(key):
-        cut = lambda s: s if mf.is_zero(s) else s[key]  # noqa: E731
-        return jax.tree.map(cut, stack, is_leaf=mf.is_zero)
-
-    leaves = jax.tree.leaves(stack, is_leaf=mf.is_zero)
-    several = any(not mf.is_zero(s) and s.shape[0] > 1 for s in leaves)
-    return part(slice(-1)) if several else None, part(-1)
 
 
 def _solve_jvp(endless, primals, tangents):
@@ -72,21 +60,16 @@ def _solve_jvp(endless, primals, tangents):
     slopes = (tangents[0][0].depth, tangents[0][2].nu)
     moving = [i for i, d in enumerate(slopes) if not mf.is_zero(d)]
     field, joined, own, sent = _solve(stack, bounds, endless, moving)
-    upper, lowest = _split((stack, own, sent, field))
-    dupper, dlowest = _split(tangents[0])
-    dup, ddown = (v[None] for v in _missing(lowest, dlowest, endless))
-    if upper is not None and dupper is not None:
-        # Tangents that vanish cannot be mapped over.
-        slopes, tree = jax.tree.flatten(dupper, is_leaf=mf.is_zero)
-        moving = [d for d in slopes if not mf.is_zero(d)]
+    # Tangents that vanish cannot be mapped over.
+    slopes, tree = jax.tree.flatten(tangents[0], is_leaf=mf.is_zero)
 
-        def missing(known, moving):
-            left = iter(moving)
-            every = [d if mf.is_zero(d) else next(left) for d in slopes]
-            return _missing(known, jax.tree.unflatten(tree, every), False)
+    def missing(known, some):
+        left = iter(some)
+        every = [d if mf.is_zero(d) else next(left) for d in slopes]
+        return _missing(known, jax.tree.unflatten(tree, every), endless)
 
-        others = jax.vmap(missing)(upper, moving)
-        dup, ddown = (jnp.concatenate(p) for p in zip(others, (dup, ddown), strict=True))
+    some = [d for d in slopes if not mf.is_zero(d)]
+    dup, ddown = jax.vmap(missing)((stack, own, sent, field), some)
 
     def at_bounds(bounds):
         """What floor and surface send on of the known field."""

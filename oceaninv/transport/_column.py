@@ -68,7 +68,7 @@ def solve(water: Water, sources: Sources, basis: Basis) -> Column:
     floor = None if endless else _floor(sources, basis, layer.depth[-1] + start[-1])
     sky = None if sources.sky is None else basis.flux * sources.sky
     stack, bounds = (layer, modes, beam), (floor, sources.surface, sky)
-    field = _boundaries.solve(stack, bounds, endless)
+    field = _boundaries.solve(stack, bounds, endless and start.shape[0] == 1)
     top = jnp.concatenate([0 * one, jnp.cumsum(padded)[:-1]])
     return Column(layer, modes, beam, field, top, rate, start)
 
