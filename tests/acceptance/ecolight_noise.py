@@ -2,7 +2,7 @@
 
     python -m tests.acceptance.ecolight_noise [folder with ecolight6_runs.csv and specific IOPs]
 
-writes tests/acceptance/ecolight_noise.md (five minutes).  As
+writes tests/acceptance/ecolight_noise.md (some minutes).  As
 `tests.acceptance.ecolight`, but Ed at 0, 1 and 2 m and R at 0 m carry independent noise of 1 %, and
 what nobody knows of the runs is unknown: the share of sky light (0.3 within 0.1), the level of R
 (within 2 %: the particles' exact phase function, the rough surface) and that of the slopes of ln Ed
@@ -46,7 +46,7 @@ def problem(folder: Path):
     rows["a"] = np.stack([at(f"a*{n}") for n in ("chl", "mss", "cdom")])
     amount = truth_of(first)
     pure = {k: first[k] - np.exp(amount[: len(row)]) @ row for k, row in rows.items()}
-    transport = oi.PlaneParallel(8)
+    transport = oi.PlaneParallel(12)
 
     def model(p, above):
         amount, share, level, slope = jnp.exp(p[:3]), p[3], p[4], p[5]
@@ -110,7 +110,7 @@ def main():
     """Fit, print and write the table."""
     parser = argparse.ArgumentParser()
     parser.add_argument("folder", type=Path, nargs="?", default=FOLDER)
-    parser.add_argument("--draws", type=int, default=3)
+    parser.add_argument("--draws", type=int, default=10)
     asked = parser.parse_args()
     jax.config.update("jax_enable_x64", True)
     pick, both = problem(asked.folder)
