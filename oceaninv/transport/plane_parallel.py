@@ -323,8 +323,8 @@ class PlaneParallel(AbstractTransport):
       Ed and Eu 1e-6 (mean cosine of scattering 0.924: 1e-5) of the beam at 16 streams, 1e-8 at
       48.  E0 in a slab of optical thickness 0.1 or right at a boundary, where light along the
       horizon falls off within a node's own depth: 1e-4 (0.924: 5e-4) at 16 streams, 5e-6 (2e-5)
-      at 32, 1e-6 (3e-6) at 40 and 1e-6 of itself at 48.  No correction afterwards can mend that and leave the net flux
-      to fall by a E0, which it does to rounding at any number of streams.
+      at 32, 1e-6 (3e-6) at 40 and 1e-6 of itself at 48.  No correction afterwards can mend that
+      and leave the net flux to fall by a E0, which it does to rounding with any streams.
       Radiance 5e-7 for isotropic scattering at 16 streams and orders, 1e-3 up to g = 0.8; for
       HG 0.924 0.1 % in the median and 6 % at worst at 16, 1e-3 everywhere at 48 (at 32 but for
       0.13 % in places).  Petzold water under a surface: nadir radiance 0.12 % (albedo 0.9) and
