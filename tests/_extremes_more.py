@@ -22,6 +22,8 @@ from tests._extremes import (
     _deep,
     _irradiance_deep,
     _over_floor,
+    _radiance_deep,
+    _radiance_floor,
     _water,
 )
 
@@ -237,17 +239,17 @@ def more() -> tuple[Case, ...]:
 
 
 def exact() -> tuple[Case, ...]:
-    """Plane-parallel: the eigenproblem of every point.
-
-    Its radiance is not among them: batches of such extremes have ended the process in one of
-    XLA's threads, for a reason not isolated.
-    """
+    """Plane-parallel: the eigenproblem of every point."""
     deep = (COEFFICIENT, COEFFICIENT, ASYMMETRY, ZENITH)
     over = (*deep, LENGTH[2:], SHARE, SHARE, SHARE)
     return (
         Case("exact, irradiance, deep", functools.partial(_irradiance_deep, EXACT),
              (*deep, LENGTH), 2e-2, 1e-3, True, 1e-5),
         Case("exact, irradiance, floor", _exact_floor, over, 2e-2, 1e-3, True, 1e-5),
+        Case("exact, radiance, deep", functools.partial(_radiance_deep, EXACT),
+             (*deep, LENGTH, LOOK), 2e-2, 1e-3, True, 1e-5),
+        Case("exact, radiance, floor", functools.partial(_radiance_floor, EXACT),
+             (*over, LOOK), 2e-2, 1e-3, True, 1e-5),
         # Where light has died out (e^-87 in single precision) nothing attenuates it.
         Case("exact, apparent", _apparent, ((1e-3, 0.1, 1.0), (0.0, 1e-9, 0.1, 1.0), ASYMMETRY,
                                             ZENITH, LENGTH[:-2]), 5e-2, 1e-2, True, 1e-5),

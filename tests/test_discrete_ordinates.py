@@ -207,6 +207,18 @@ def test_functions_of_k_are_their_definitions():
         np.testing.assert_allclose(found, [near, far, (lit * source(s)).sum()], rtol=1e-11)
 
 
+def test_sum_of_products_of_many_axes_in_single_precision():
+    """As a sum, this ends the process (jaxlib 0.10.2, on a CPU)."""
+
+    def total(x, y):
+        return mf.added(x * y)
+
+    many = jax.jit(jax.vmap(jax.vmap(jax.vmap(total))))
+    for count in (3, 8):
+        one = jnp.ones((3, 1, 2, 2, count, 8, 8), jnp.float32)
+        np.testing.assert_array_equal(many(one, one), np.full((3, 1, 2, count, 8, 8), 2))
+
+
 def test_matrix_function_derivative():
     """d f(B) of a full perturbation, with equal and with vanishing eigenvalues."""
     rng = np.random.default_rng(1)

@@ -331,7 +331,7 @@ def inside(
         source = forcing(modes, beam)
         everything = jnp.concatenate([ends, source[None]])
         total = combine(mf.forced_inside, everything, share, beam.nu)
-    total = total - jnp.sum(line[:, None, None] * ends, axis=0)
+    total = total - (line[0] * ends[0] + line[1] * ends[1])
     sum_, difference = modes.factor @ total[:, 0], modes.inverse.T @ total[:, 1]
     down = (sum_ + difference) / 2 + line[0] * field.top_down + line[1] * field.bottom_down
     up = (sum_ - difference) / 2 + line[0] * field.top_up + line[1] * field.bottom_up

@@ -185,7 +185,7 @@ def inside(
         """Light that meets nothing at top and bottom: sums and differences of down and up."""
         source = jax.vmap(do.forcing, (None, 0))(modes, beams)
         parameters = (layer.depth, share, beams.nu)
-        return jnp.sum(mf.apply_functions(_inside, modes.k2, modes.matrix, parameters, source), 0)
+        return mf.combine(_inside, modes.k2, modes.matrix, parameters, source)
 
     first, second = own(glow.down, share), own(glow.up, 1 - share)
     sum_ = modes.factor @ (first[:, 0] + second[:, 0])
@@ -230,9 +230,9 @@ def along(
         def project(down, up):
             return jnp.stack([modes.inverse @ (down + up), modes.factor.T @ (down - up)], axis=1)
 
-        def apply(functions, vectors, *more):
+        def combine(functions, vectors, *more):
             parameters = (length, rate, *more)
-            return mf.apply_functions(functions, modes.k2, modes.matrix, parameters, vectors)
+            return mf.combine(functions, modes.k2, modes.matrix, parameters, vectors)
 
         def own(beams, outside, along):
             """`outside`: share of the layer between where the source is 1 and the stretch."""
@@ -241,13 +241,13 @@ def along(
             reach = beams.nu * length
             straight = mf.mean_decay_between(reach, jnp.full_like(reach, rate * length))
             straight = jnp.where(along, mf.mean_decay(reach + rate * length), straight)
-            return jnp.sum(apply(_seen, source, beams.nu, along), 0), light * straight
+            return combine(_seen, source, beams.nu, along), light * straight
 
         top = jnp.where(sight.up, share, 0.0)
         bottom = jnp.where(sight.up, 0.0, 1 - share)
         falling, straight = own(glow.down, top, sight.up)
         rising, mirrored = own(glow.up, bottom, ~sight.up)
-        total = jnp.sum(apply(mf.seen, jnp.stack([project(*near), project(far_down, far_up)])), 0)
+        total = combine(mf.seen, jnp.stack([project(*near), project(far_down, far_up)]))
         sums = total[:, 0] + falling[:, 0] + rising[:, 0]
         differences = total[:, 1] + falling[:, 1] - rising[:, 1]
         scattered = _ray.scattered(layer, modes, basis, sight, angular, sums, differences)

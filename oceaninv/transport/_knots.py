@@ -88,7 +88,7 @@ def seen(
 
     `here`: optical depth of the eye; `angular`: cos(m phi) p_l of the direction of the light.
     """
-    source = jnp.sum(table.source * angular[None, None], axis=(2, 3))
+    source = jnp.tensordot(table.source, angular, 2)
     low, high = table.depth[:, :-1], table.depth[:, 1:]
     first = jnp.where(sight.up, jnp.maximum(low, here), low)
     last = jnp.where(sight.up, high, jnp.minimum(high, here))

@@ -10,6 +10,7 @@ of an eigenvector, with its 1/(x_i - x_j), is not (Daleckii and Krein 1951; High
 
 import functools
 import math
+import operator
 from collections.abc import Callable
 
 import jax
@@ -185,28 +186,40 @@ def combine(
     vectors: Float[Array, "f n m"],
 ) -> Float[Array, "n m"]:
     """The sum of `apply_functions` over its functions."""
-    return jnp.sum(functions(root(x), *parameters)[:, :, None] * vectors, axis=0)
+    return added(functions(root(x), *parameters)[:, :, None] * vectors)
 
 
 def _combine_jvp(functions, primals, tangents):
     vectors = primals[3]
     values, changed, slope = _derivatives(functions, primals, tangents)
-    total = jnp.sum(values[:, :, None] * vectors, axis=0)
+    total = added(values[:, :, None] * vectors)
     tangent = jnp.zeros_like(total)
     if not is_zero(tangents[3]):
-        tangent = tangent + jnp.sum(values[:, :, None] * tangents[3], axis=0)
+        tangent = tangent + added(values[:, :, None] * tangents[3])
     if changed is not None:
-        tangent = tangent + jnp.sum(changed[:, :, None] * vectors, axis=0)
+        tangent = tangent + added(changed[:, :, None] * vectors)
     if slope is not None:
         apart, close = _split_change(primals, tangents)
         mean = slope[:, :, None] / 2
-        tangent = tangent + jnp.sum(values[:, :, None] * (apart @ vectors), axis=0)
-        tangent = tangent + jnp.sum(mean * (close @ vectors), axis=0)
-        tangent = tangent + close @ jnp.sum(mean * vectors, axis=0) - apart @ total
+        tangent = tangent + added(values[:, :, None] * (apart @ vectors))
+        tangent = tangent + added(mean * (close @ vectors))
+        tangent = tangent + close @ added(mean * vectors) - apart @ total
     return total, tangent
 
 
 combine.defjvp(_combine_jvp, symbolic_zeros=True)
+
+
+def added(terms: Float[Array, "f *more"]) -> Float[Array, "*more"]:
+    """Sum over the first axis, term by term or as a product of matrices, never as a sum.
+
+    XLA makes a product that is summed over an axis one operation of its own, which in float32 on
+    a CPU ends the process at seven axes and more (jaxlib 0.10.2 and 0.11.0, jax issue 39257); maps
+    over rays, orders, wavelengths and layers bring that many.
+    """
+    if terms.shape[0] > 4:
+        return jnp.tensordot(jnp.ones_like(terms, shape=terms.shape[:1]), terms, 1)
+    return functools.reduce(operator.add, list(terms))
 
 
 def is_zero(tangent) -> bool:

@@ -85,25 +85,27 @@ def single_scattering(
     path, _ = stretches(column, sight)
     nu, rate = 1 / cosine, 1 / sight.mu
     layer = column.layer
-    thickness, length = layer.depth / layer.extinction, path.length / layer.extinction
+    # Per optical depth of the column, not per metre: in endless vacuum even the derivatives of
+    # metres are beyond single precision.
+    moments, vsf = moments / layer.extinction[:, None], vsf / layer.extinction
 
     def seen(extinction):
         """Light per unit of scattering, (layer,), for an attenuation (layer,)."""
-        whole, part = extinction * thickness, extinction * length
+        whole, part = extinction * layer.depth, extinction * path.length
         start = jnp.cumsum(whole) - whole
         top = start + jnp.where(sight.up, path.share * whole, 0.0)
         near = jnp.where(sight.up, top, top + part)
         clear = jnp.exp(-jnp.abs(near - jnp.sum(path.share * whole)) * rate)
         down = mf.mean_decay_between(nu * part, rate * part)
         both = jnp.where(sight.up, mf.mean_decay((nu + rate) * part), down)
-        return sun * jnp.exp(-nu * top) * clear * both * length * rate
+        return sun * jnp.exp(-nu * top) * clear * both * path.length * rate
 
     count, kept = moments.shape[1], layer.gain.shape[1]
     peak, sharp = moments[:, kept], moments[:, kept:]
-    full = layer.extinction + peak
+    full = 1 + peak
     node, node_weight = (jnp.asarray(v, dtype=full.dtype) for v in _SHARES)
     once = seen(full)
-    scaled = seen(layer.extinction)
+    scaled = seen(jnp.ones_like(full))
     partly = jax.vmap(seen)(full[None] - node[:, None] * peak[None])
     # What the column counts as sun has been scattered, all forward: taken off in the degrees that
     # it holds, for it is left out of the others.
