@@ -171,8 +171,12 @@ class Inelastic(eqx.Module):
     with an absorber "chlorophyll" or "phytoplankton"; `cdom`: `CDOMFluorescence`, which needs an
     absorber "cdom".
 
-    Only light on the scene's own wavelengths excites: begin them at 310 nm for CDOM and 370 nm for
-    chlorophyll (see `Phytoplankton(extension=...)`).
+    Only light on the scene's own wavelengths excites, and nothing is put in for the rest: begin
+    them at 310 nm for CDOM, 370 nm for chlorophyll (see `Phytoplankton(extension=...)`) and, for
+    Raman, at 1/(1/wl + 3.7e-4/nm) of the shortest emission wl that matters (340 nm for 390 nm).
+    On 10 nm bands from 400 nm on, daylight excites no Raman emission below 450 nm, .1 of that at
+    450, .87 at 460 and all from 470 nm on; of CDOM's emission .20 is left at 440, .52 at 500 and
+    .71 at 600 nm; of chlorophyll's .95 (`test_what_a_grid_from_400_nm_leaves_out`).
     """
 
     raman: Raman | None = None

@@ -114,6 +114,34 @@ def test_cdom_yields(excitation, photons, energy, peak):
     assert fine[5:-1][density.argmax()] == pytest.approx(peak, abs=0.7)
 
 
+def test_what_a_grid_from_400_nm_leaves_out():
+    """Shares of the emission that daylight excites from 400 nm on: the numbers of `Inelastic`."""
+    grid = np.arange(300.0, 701.0, 10.0)
+    algae, cdom = np.exp(-(((grid - 440) / 80) ** 2)), np.exp(-0.017 * (grid - 440))
+    water = oi.IOPs(
+        grid,
+        jnp.asarray([algae, cdom]),
+        jnp.ones(grid.size),
+        oi.phase.Isotropic(),
+        ("chlorophyll", "cdom"),
+    )
+    processes = oi.Inelastic(oi.Raman(), oi.ChlorophyllFluorescence(), oi.CDOMFluorescence())
+    raman, chlorophyll, fulvic = (
+        oi.spectrum.daylight(grid)[:, None] * np.asarray(matrix)
+        for matrix, _ in inelastic.sources(processes, water)
+    )
+
+    def left(power, emission):
+        column = power[:, grid == emission][:, 0]
+        return column[grid >= 400].sum() / column.sum()
+
+    found = [left(raman, v) for v in (440, 450, 460, 470)]
+    np.testing.assert_allclose(found, [0.0, 0.115, 0.866, 1.0], atol=2e-3)
+    found = [left(fulvic, v) for v in (440, 500, 600)]
+    np.testing.assert_allclose(found, [0.205, 0.525, 0.706], atol=2e-3)
+    np.testing.assert_allclose(left(chlorophyll, 680), 0.947, atol=2e-3)
+
+
 def test_no_emission_before_the_excitation():
     """Only within a band can light be emitted as if at shorter waves."""
     for term in (Raman(), CDOMFluorescence()):
