@@ -1,6 +1,6 @@
 """1,000 casts of 7 bands and 100 depths: one call against a loop of scipy's curve_fit.
 
-    python -m tests.benchmarks.bench_profiles [kd | waters | memory COUNT | cluster]
+    python -m tests.benchmarks.bench_profiles [kd | waters | memory COUNT]
 
 Processor time of both, in the same run, errors given; the first call, which compiles, apart.
 
@@ -8,16 +8,12 @@ Processor time of both, in the same run, errors given; the first call, which com
 - `waters`: constituents and nuisances, 13 unknowns and 7 free Ed(0-), 128 casts, the loop over 4 of
   them.  curve_fit gets the same unknowns, priors (as further data) and model, compiled by JAX for
   all depths and bands, and differences it itself, as users have it.
-- `cluster`: wall time a cast of an archive of files, Kd alone, in this process and through a dask
-  cluster of one worker on this machine, both after a first run that compiles.
 - `memory`: peak resident memory of so many casts, Kd alone, that come one by one.
 """
 
 import resource
 import sys
-import tempfile
 import time
-from pathlib import Path
 
 import jax
 import jax.numpy as jnp
@@ -27,7 +23,6 @@ from scipy.optimize import curve_fit
 import oceaninv as oi
 from fitting import Profile, fit_profiles, stream_profiles
 from fitting._waters import curve
-from fitting.archive import Task, fit_archive
 from fitting.parameters import Parameters, water_unknowns
 
 CASTS, BANDS, DEPTHS = 1000, 7, 100
@@ -126,43 +121,12 @@ def memory(count: int):
     print(f"{1e3 * (time.process_time() - start) / count:.2f} ms a cast")
 
 
-def cluster(count: int = 512):
-    """Print what a cluster costs a cast."""
-    from dask.distributed import LocalCluster
-
-    depth, rng = np.linspace(0.2, 20.0, DEPTHS), np.random.default_rng(0)
-    names = [f"Ed_{int(400 + 10 * band)}" for band in range(BANDS)]
-    units = ", ".join(f"{name}=W m-2 nm-1" for name in names)
-    with tempfile.TemporaryDirectory() as folder:
-        root, paths = Path(folder), []
-        for i, kd in enumerate(np.exp(rng.uniform(np.log(0.04), np.log(0.4), (count, BANDS)))):
-            seen = np.exp(-kd * depth[:, None]) * (1 + 0.05 * rng.standard_normal((DEPTHS, BANDS)))
-            paths.append(root / f"cast_{i}.csv")
-            head = f"units: depth=m, {units}\n" + ",".join(["depth", *names])
-            table, comments = np.column_stack([depth, seen]), "# "
-            np.savetxt(paths[-1], table, delimiter=",", header=head, comments=comments)
-            text = paths[-1].read_text().replace("# depth", "depth", 1)
-            paths[-1].write_text(text)
-        times = {}
-        with LocalCluster(n_workers=1, threads_per_worker=1, dashboard_address=None) as machine:
-            for name, address in (("here", None), ("cluster", machine.scheduler_address)):
-                for run in ("first", "again"):
-                    start = time.perf_counter()
-                    task = Task(root / f"{name}_{run}")
-                    done = sum(one.casts for one in fit_archive(paths, task, address))
-                    times[name] = 1e3 * (time.perf_counter() - start) / done
-    print(", ".join(f"{name} {ms:.1f} ms a cast" for name, ms in times.items()), end="; ")
-    print(f"overhead {times['cluster'] - times['here']:+.1f} ms")
-
-
 def main():
     """Print what was asked for."""
     jax.config.update("jax_enable_x64", True)
     asked = sys.argv[1:] or ["kd"]
     if asked[0] == "waters":
         waters()
-    elif asked[0] == "cluster":
-        cluster()
     elif asked[0] == "memory":
         memory(int(asked[1]))
     else:
