@@ -27,7 +27,6 @@ from oceaninv.light import Light
 from oceaninv.optics import Rays
 from oceaninv.phase import HenyeyGreenstein, Seawater
 from oceaninv.scene import FlatSurface, Floor, Scene
-from oceaninv.transport import _ray
 from oceaninv.transport.four_stream import FourStream
 from oceaninv.transport.plane_parallel import PlaneParallel
 
@@ -115,26 +114,6 @@ def memory(count):
     return compiled.memory_analysis().temp_size_in_bytes / 1e6
 
 
-def radiance(orders, single=True):
-    """Processor seconds of radiances of 64 lines of sight; without single scattering if asked."""
-    rng = np.random.default_rng(0)
-    looks = rng.normal(size=(64, 3))
-    looks /= np.linalg.norm(looks, axis=1, keepdims=True)
-    rays = Rays(jnp.asarray([0.0, 0.0, 5.0]), jnp.asarray(looks))
-    scattered = _ray.single_scattering
-    if not single:
-        _ray.single_scattering = lambda column, *_: jnp.zeros_like(column.start[0])
-    jax.clear_caches()
-
-    def light(p):
-        return PlaneParallel(16, orders).radiance(scene(p), rays).value
-
-    p = jnp.asarray([1.0, 0.1, 1.0])
-    compiled = jax.jit(light).lower(p).compile()
-    _ray.single_scattering = scattered
-    return least(lambda: jax.block_until_ready(compiled(p)), 5)
-
-
 def four_stream():
     """Seconds to compile the derivatives of radiances in a and b, (forward, reverse)."""
     looks = jnp.asarray([[0.6, 0.0, 0.8], [0.0, 0.6, -0.8], [0.0, 0.8, 0.6]])
@@ -170,12 +149,6 @@ def main():
         print(f"{streams} streams {run(streams)[0] * 50:.3f} ms/wl")
     for layers in (2, 4, 8):
         print(f"{layers} layers {run(layers=layers)[0] * 50:.3f} ms/wl")
-    each = 1e6 / (20 * 64)
-    for orders in (1, 4, 16):
-        found = radiance(orders) * each
-        print(f"radiance, {orders} orders: {found:.1f} us per ray and wavelength", flush=True)
-    without = radiance(16, False) * each
-    print(f"... without single scattering {without:.1f}: {found / without:.2f} x")
     for count in (20, 40, 80):
         print(f"{count} wavelengths: working memory {memory(count):.3f} MB (8 streams)")
     forward, reverse = four_stream()
