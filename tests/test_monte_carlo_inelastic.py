@@ -104,6 +104,32 @@ def test_irradiance_against_the_exact_one(lit, generations):
         assert np.median(np.asarray(own.stderr)[:, 1] / value[:, 1]) < 0.05
 
 
-def test_radiance_of_a_second_change_is_refused(lit):
-    with pytest.raises(ValueError, match="take generations=1"):
-        oi.radiance(lit, looking_down(1.0), oi.MonteCarlo(32, generations=2), key=jax.random.key(0))
+@pytest.mark.slow
+@pytest.mark.parametrize("generations", [2, 3])
+def test_radiance_of_every_change_against_the_exact_one(generations):
+    """Blue light alone enters, and Raman scattering a hundred times as strong as it is takes it
+    from band to band: the third can only be reached by two changes, the fourth by three.  Looking
+    down at the floor, up, and level, two layers."""
+    bands = np.array([400.0, 465.0, 555.0, 690.0])
+    iops = tuple(
+        oi.IOPs(bands, A([0.2, 0.2, 0.25, 0.5]), A([0.2] * 4), HenyeyGreenstein(g))
+        for g in (0.8, 0.5)
+    )
+    scene = oi.Scene(
+        oi.Layers(A([2.0]), iops),
+        oi.Light(30.0, A([1.0, 0.0, 0.0, 0.0])),
+        oi.FlatSurface(1.34),
+        oi.Floor(6.0, 0.3 * jnp.ones(4)),
+        inelastic=Inelastic(Raman(2.6e-2)),
+    )
+    rays = oi.Rays(
+        A([[0.0, 0.0, 1.0]] * 3), A([[0.0, 0.0, 1.0], [0.6, 0.0, -0.8], [0.0, 1.0, 0.0]])
+    )
+    transport = oi.MonteCarlo(2**14, 20, generations=generations)
+    found = oi.radiance(scene, rays, transport, key=jax.random.key(5))
+    exact = oi.radiance(scene, rays, oi.PlaneParallel(12, generations=generations)).value
+    value, stderr = np.asarray(found.value), np.asarray(found.stderr)
+    z = (value - np.asarray(exact))[:, : generations + 1] / stderr[:, : generations + 1]
+    assert np.abs(z).max() < 3.5, z
+    assert (stderr[:, generations] < 0.1 * value[:, generations]).all()
+    assert (value[:, generations + 1 :] < 0.2 * value[:, generations, None]).all()

@@ -69,9 +69,14 @@ def _dot(a: Vector, b: Vector) -> Float[Array, "..."]:
 
 @eqx.filter_jit
 def radiance(
-    scene: Scene, rays: Rays, words: UInt32[Array, " 2"], plan: Plan, proposal: Proposal | None
+    scene: Scene,
+    rays: Rays,
+    words: UInt32[Array, " 2"],
+    plan: Plan,
+    proposal: Proposal | None,
+    generations: int = 1,
 ) -> Estimate:
-    """(ray, wl)."""
+    """(ray, wl), with `generations` of inelastic light."""
     scene, rays = fixed_scene(scene), fixed_rays(rays)
     world = _walks.world(scene, words, proposal)
     groups = -(-plan.paths // GROUP)
@@ -103,7 +108,7 @@ def radiance(
         return _walks.walk(world, stand(unit), unit, plan, score, blank)[0]
 
     def inelastic(unit):
-        return shifted(scene, world, stand, each_lane, plan, unit)
+        return shifted(scene, world, stand, each_lane, plan, generations, unit)
 
     found = []
     for run in (elastic,) if scene.inelastic is None else (elastic, inelastic):

@@ -38,12 +38,11 @@ class MonteCarlo(AbstractTransport):
     - `paths`: walks per ray; for irradiance, in all.  Rounded up to whole groups of 32.
     - `bounces`: events (scatterings and reflections) per walk.
     - `thin`: whether only one walk in eight, drawn by its importance, goes on after 6 events.
-      Saves most of the time where light is absorbed; switch it off for white media.
-
+      Saves most of the time where light is absorbed; switch it off for white media.  Frozen walks
+      are never thinned.
     - `proposal`: what the walks are drawn from; `None` makes it from the scene.
-    - `generations`: how often light may change its wavelength on its way to an irradiance or in an
-      `energy_budget`.  Radiance follows one change (ValueError for more): what the second adds
-      is bounded by `PlaneParallel.inelastic_left`.
+    - `generations`: how often light may change its wavelength, at most.  What further changes
+      would add, `PlaneParallel.inelastic_left` bounds.
     - `similar`: after so many events the water counts as one that scatters evenly, and b (1 - g) as
       much (similarity theory; Frisvad et al. 2007, section 3), so that one event does the work of
       1/(1 - g).  For white media, one band at a time (`tests/acceptance/similarity.md`); `bias` is
@@ -91,14 +90,15 @@ class MonteCarlo(AbstractTransport):
 
     def frozen(self, scene: Scene) -> "MonteCarlo":
         """This transport with the proposal of a scene: walks that stay where they are while the
-        water around them changes.  It serves scenes with as many layers."""
+        water around them changes.  It serves scenes with as many layers.  Its walks are not
+        thinned: which of them live on would depend on the water, and jump with it."""
         return dataclasses.replace(self, proposal=propose(scene))
 
     def reuse(self, scene: Scene, rays: Rays, key: Key[Array, ""]) -> Float[Array, "ray wl"]:
         """Effective share of the walks: how many walks drawn for this scene itself would be worth
         one of the frozen ones.  A warning below 0.3: freeze again, at the present water.  Takes
         two estimates' time."""
-        fresh = dataclasses.replace(self, proposal=None).radiance(scene, rays, key)
+        fresh = self.frozen(scene).radiance(scene, rays, key)
         frozen = self.radiance(scene, rays, key)
         safe = jnp.where(frozen.stderr > 0, frozen.stderr, 1.0)
         share = jnp.where(frozen.stderr > 0, (fresh.stderr / safe) ** 2, 1.0)
@@ -113,12 +113,9 @@ class MonteCarlo(AbstractTransport):
     def radiance(self, scene: Scene, rays: Rays, key: Key[Array, ""] | None = None) -> Estimate:
         """See `oceaninv.radiance`; ValueError for an eye inside an object."""
         _check_outside(scene, rays)
-        if scene.inelastic is not None and self.generations > 1:
-            raise ValueError(
-                "MonteCarlo follows one change of wavelength to an eye: take generations=1, or "
-                "PlaneParallel(generations=...), whose inelastic_left bounds the rest."
-            )
-        return _backward.radiance(scene, rays, _words(key), self.plan, self.proposal)
+        return _backward.radiance(
+            scene, rays, _words(key), self.plan, self.proposal, self.generations
+        )
 
     def irradiance(
         self, scene: Scene, depths: Float[Array, " depth"], key: Key[Array, ""] | None = None
@@ -137,7 +134,8 @@ class MonteCarlo(AbstractTransport):
     @property
     def plan(self) -> Plan:
         """The dials, as the walks need them."""
-        return Plan(self.paths, self.bounces, self.thin, self.similar, self.progress)
+        thin = self.thin and self.proposal is None
+        return Plan(self.paths, self.bounces, thin, self.similar, self.progress)
 
 
 def _words(key):
