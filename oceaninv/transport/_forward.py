@@ -14,12 +14,14 @@ from oceaninv.scene import Scene
 from oceaninv.transport import _paths, _walks, _weights
 from oceaninv.transport._converted import coloured, converted
 from oceaninv.transport._guard import fixed, fixed_scene
-from oceaninv.transport._paths import Lanes, Proposal
-from oceaninv.transport._sampling import uniforms
+from oceaninv.transport._paths import Lanes, Proposal, Vertex
+from oceaninv.transport._sampling import spread, uniforms
 from oceaninv.transport._walks import GROUP, Plan, World
 from oceaninv.transport.base import Estimate
 
 _GRAZING = 0.03  # below this cosine, 1/cosine counts as its mean over the band, 2/0.03
+_FAR = 8.0  # e-foldings of the light: beyond them no walks are gathered
+_ASIDE = 0x1B873593  # sets the draws of directions aside apart
 _SKY = 0x51ED270B  # sets the draws of the sky's directions apart
 
 
@@ -38,21 +40,57 @@ def _from_sky(world: World, unit: UInt32[Array, " unit"]):
     return (level * jnp.cos(azimuth), level * jnp.sin(azimuth), above), weight
 
 
-def _crossing(world: World, depth: Array, before, ahead, weight):
+def _crossing(world: World, depth: Array, lanes: Lanes, weight: Array, factor: Array | None):
     """Ed, Eu and E0 that walks bring to a depth ahead, (unit, 3, wl)."""
-    z, steep = before.position[2], jnp.maximum(jnp.abs(before.direction[2]), 1e-6)
+    z, up = lanes.position[2], lanes.direction[2] < 0
+    steep = jnp.maximum(jnp.abs(lanes.direction[2]), 1e-6)
     slanted = jnp.where(steep < _GRAZING, 2.0 / _GRAZING, 1.0 / steep)
-    passes = jnp.where(ahead.up, depth <= z, depth >= z)
+    passes = jnp.where(up, depth <= z, depth >= z)
     length = jnp.where(passes, jnp.abs(depth - z) / steep, 0.0)
     beyond = _paths.by_layer(world.domain, z, jnp.where(passes, depth, z), length)
-    reaching = _weights.attenuated(world.medium, before, beyond)
+    reaching = _weights.attenuated(world.medium, lanes, beyond)
+    if factor is not None:
+        reaching = reaching * factor
     crossed = jnp.where(passes, weight, 0.0)
-    down, up = jnp.where(ahead.up, 0.0, crossed), jnp.where(ahead.up, crossed, 0.0)
-    kinds = jnp.stack([down, up, crossed * slanted], axis=1)
+    down, upward = jnp.where(up, 0.0, crossed), jnp.where(up, crossed, 0.0)
+    kinds = jnp.stack([down, upward, crossed * slanted], axis=1)
     return jnp.einsum("ukl,ulw->ukw", kinds, reaching)
 
 
 _at_depths = jax.vmap(_crossing, (None, 0, None, None, None), 1)
+
+
+def _aside(world: World, depths: Array, before: Lanes, after: Lanes, vertex: Vertex, unit, t):
+    """What each scattering brings to the depths in a direction drawn evenly: light that a peaked
+    phase function seldom turns round.  Its share is what the walk's own direction leaves."""
+    lane = jnp.arange(before.weight.shape[1], dtype=jnp.uint32)[None, :]
+    words = world.words ^ jnp.uint32(_ASIDE)
+    path = unit[:, None] * jnp.uint32(GROUP) + lane
+    u = spread(uniforms(path, t, words, before.weight.dtype), unit, t, words)
+    steep = 2.0 * u[0] - 1.0
+    level, azimuth = safe_sqrt(1.0 - steep**2), 2.0 * np.pi * u[1]
+    direction = (level * jnp.cos(azimuth), level * jnp.sin(azimuth), steep)
+    pairs = zip(direction, before.direction, strict=True)
+    cosine = sum((a * b for a, b in pairs), start=jnp.zeros_like(steep))
+    scattered = _weights.volume_scattering(world.medium, world.proposal, vertex, cosine)
+    share = 1.0 - _weights.own_share(world.medium, vertex, cosine)
+    lanes = after._replace(counts=before.counts, direction=direction)
+    return _at_depths(world, depths, lanes, 4.0 * np.pi * share * after.weight, scattered)
+
+
+def _worth(world: World, depths: Array, z: Array) -> Array:
+    """How much a walk at z may bring to the depths, each relative to the light that is there: it
+    falls off like the light itself.  Walks gather where there is little light to count."""
+
+    def fallen(z):
+        depth = jnp.zeros_like(z)
+        pairs = zip(_paths.bounds(world.domain), world.proposal.decay, strict=True)
+        for (top, bottom), rate in pairs:
+            depth = depth + rate * (jnp.clip(z, top, bottom) - top)
+        return jnp.minimum(depth, _FAR)
+
+    own, wanted = fallen(z)[..., None], fallen(depths)[None, None, :]
+    return jnp.mean(jnp.exp(jnp.minimum(own, 2.0 * wanted - own)), axis=-1)
 
 
 class Entry(NamedTuple):
@@ -103,21 +141,35 @@ def split(sums, entry: Entry, groups: int) -> list:
     ]
 
 
-def _elastic(scene: Scene, world: World, depths: Array, plan: Plan, entry: Entry, groups: int):
-    """Group sums for unit flux on the surface, (unit, depth, 3, wl), in all and late."""
+def _elastic(
+    scene: Scene,
+    world: World,
+    depths: Array,
+    plan: Plan,
+    entry: Entry,
+    groups: int,
+    gathers: bool,
+):
+    """Group sums for unit flux on the surface, (unit, depth, 3, wl), in all and late; `gathers`:
+    whether walks are drawn anew by what they are worth."""
 
     def run(unit):
         lanes, sunlit, _ = enter(world, entry, unit, groups, _walks.carried(scene))
+        lanes = lanes._replace(own=jnp.ones_like(lanes.weight))
 
         def score(world, before, ahead, after, vertex, t):
-            del after, vertex
+            del ahead
             # The sunbeam itself is added in closed form.
-            new = jnp.where((t == 0) & sunlit, 0.0, before.weight)
-            return _at_depths(world, depths, before, ahead, new)
+            new = jnp.where((t == 0) & sunlit, 0.0, before.weight * before.own)
+            found = _at_depths(world, depths, before, new, None)
+            return found + _aside(world, depths, before, after, vertex, unit, t)
+
+        def aim(lanes):
+            return _worth(world, depths, lanes.position[2])
 
         shape = (len(unit), depths.shape[0], 3, len(scene.wavelength))
         blank = jnp.zeros(shape, lanes.weight.dtype)
-        return _walks.walk(world, lanes, unit, plan, score, blank)[0]
+        return _walks.walk(world, lanes, unit, plan, score, blank, aim if gathers else None)[0]
 
     return _walks.in_chunks(run, groups * len(entry.fluxes), plan.progress)
 
@@ -139,8 +191,9 @@ def _inelastic(
         lanes = coloured(lanes, spectrum)
 
         def score(before, ahead, generation):
+            del ahead
             new = jnp.where(generation > 0, before.weight, 0.0)
-            return _at_depths(world, depths, before, ahead, new)
+            return _at_depths(world, depths, before, new, None)
 
         blank = jnp.zeros((len(unit), depths.shape[0], 3, bands), lanes.weight.dtype)
         return converted(scene, world, lanes, unit, plan, generations, score, blank)[0]
@@ -163,7 +216,8 @@ def irradiance(
     light = entry(scene)
     groups = -(-plan.paths // (GROUP * len(light.fluxes)))
     found = []
-    sums = _elastic(scene, world, depths, plan, light, groups)
+    # Frozen walks stay as they are: what they are worth depends on the water.
+    sums = _elastic(scene, world, depths, plan, light, groups, proposal is None)
     for own, flux in zip(split(sums, light, groups), light.fluxes, strict=True):
         own = tuple(v * flux[None, None, None] for v in own)
         found.append(_walks.estimate(own, scene, plan))

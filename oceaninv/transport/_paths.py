@@ -39,19 +39,21 @@ class Domain(NamedTuple):
 
 
 class Proposal(eqx.Module):
-    """What walks are drawn from: scattering rates (1/m) and tables of angles by layer, and the
-    shares of light that the floor and each object send back."""
+    """What walks are drawn from: scattering rates (1/m) and tables of angles by layer, the shares
+    of light that the floor and each object send back, and how fast light falls off (1/m)."""
 
     rate: Float[Array, " layer"]
     tables: Float[Array, "layer edge"]
     floor: Float[Array, ""]
     things: Float[Array, " thing"]
+    decay: Float[Array, " layer"]
 
 
 class Lanes(NamedTuple):
     """Walks side by side.  `weight`: scalar factor; `lengths` (m) and `counts` of scatterings, one
     array per layer; `floors`: floor hits; `spectral`: factors (..., wl), None where a count says
-    it all; `limit`: metres after which a line of sight ends, None where none does."""
+    it all; `limit`: metres after which a line of sight ends, None where none does; `own`: the share
+    of a flight's light that the walk itself scores, None where it scores all."""
 
     position: Vector
     direction: Vector
@@ -61,6 +63,7 @@ class Lanes(NamedTuple):
     floors: Float[Array, "..."]
     spectral: Float[Array, "... wl"] | None
     limit: Float[Array, "..."] | None
+    own: Float[Array, "..."] | None = None
 
 
 class Flight(NamedTuple):

@@ -22,6 +22,7 @@ GROUP = 32  # walks that are thinned together: the unit of independence
 _YOUNG = 6  # events before the thinning
 _PART = 8  # one walk in so many is kept
 _CHUNK = 8192  # walks side by side
+_AIM = 0x2C1B3C6D  # and those of the aiming
 _COMB = 0x9E3779B9  # sets the draws of the thinning apart from those of the walks
 
 
@@ -82,9 +83,11 @@ def walk(
     plan: Plan,
     score: Score,
     blank: Any,
+    aim: Callable[[Lanes], Array] | None = None,
 ) -> tuple[tuple[Any, Any], Lanes]:
     """Scores summed, from `blank` zeros on, over all events and over the last quarter of them; the
-    walks at their ends."""
+    walks at their ends.  `aim`: what walks of equal weight are worth, (unit, lane), by which those
+    of a unit are drawn anew before every flight: the better ones several times."""
     words, dtype = world.words, lanes.weight.dtype
     soft = False
     late = plan.bounces - max(plan.bounces // 4, 1)
@@ -93,7 +96,8 @@ def walk(
         if kept < lanes.weight.shape[1]:
             event = jnp.asarray(first, jnp.uint32)
             u = uniforms(unit, event, words ^ jnp.uint32(_COMB), dtype)
-            lanes = _weights.comb(world.medium, lanes, kept, u[0])
+            worth = 1.0 if aim is None else jax.lax.stop_gradient(aim(lanes))
+            lanes = _weights.comb(world.medium, lanes, kept, u[0], worth)
         if softer and not soft:
             soft = True
             lanes = _weights.settled(world.medium, lanes)
@@ -105,6 +109,10 @@ def walk(
             domain, proposal, medium, _ = world
             lanes, (whole, tail) = carry
             u = spread(uniforms(path, t, words, dtype), unit, t, words)
+            if aim is not None:
+                w = uniforms(unit, t, words ^ jnp.uint32(_AIM), dtype)[0]
+                worth = jax.lax.stop_gradient(lanes.weight * aim(lanes))
+                lanes = _weights.drawn(lanes, worth, lanes.weight.shape[1], w)
             ahead = _paths.flight(domain, proposal, lanes)
             after, vertex = _paths.advance(domain, proposal, lanes, ahead, u)
             scores = score(world, lanes, ahead, after, vertex, t)
@@ -113,6 +121,8 @@ def walk(
             after = after._replace(
                 direction=direction, weight=after.weight * scalar, spectral=spectral
             )
+            if after.own is not None:
+                after = after._replace(own=_weights.own_share(medium, vertex, cosine))
             if after.limit is not None:
                 after = after._replace(limit=jnp.full_like(after.limit, jnp.inf))
             whole = jax.tree.map(jnp.add, whole, scores)

@@ -51,18 +51,22 @@ def propose(scene: Scene) -> Proposal:
     """The proposal made for a scene: flights at the least attenuation of all bands, angles from the
     mean phase function.  No band's weights then grow along a path."""
     scene = jax.lax.stop_gradient(scene)
-    rates, tables = [], []
+    rates, tables, decay = [], [], []
     for water in waters(scene):
         tiny = jnp.asarray(1e-6, water.c.dtype)
         rates.append(jnp.maximum(jnp.min(water.c), tiny))
         tables.append(half_angle_table(water.phases, jnp.mean(water.b_components, axis=1)))
+        even = 1.0 - jnp.stack([jnp.asarray(p.asymmetry, tiny.dtype) for p in water.phases])
+        # Diffusion, and absorption alone where nothing is scattered.
+        fall = jnp.sqrt(water.a * (water.a + 3.0 * (even @ water.b_components)))
+        decay.append(jnp.min(jnp.minimum(fall, water.c)))
     floor = jnp.zeros_like(rates[0])
     if scene.floor is not None:
         # Not 0: a black floor has derivatives that need walks which touch it.
         floor = jnp.maximum(jnp.mean(scene.floor.reflectance), 0.02)
     things = [jnp.maximum(jnp.mean(thing.reflectance), 0.02) for thing in scene.objects]
     things = jnp.stack(things) if things else jnp.zeros((0,), floor.dtype)
-    return Proposal(jnp.stack(rates), jnp.stack(tables), floor, things)
+    return Proposal(jnp.stack(rates), jnp.stack(tables), floor, things, jnp.stack(decay))
 
 
 def reflectances(scene: Scene) -> Float[Array, "thing wl"]:
@@ -119,6 +123,19 @@ def attenuated(medium: Medium, lanes: Lanes, beyond: tuple) -> Float[Array, "...
     return value if lanes.spectral is None else value * lanes.spectral
 
 
+def own_share(medium: Medium, vertex: Vertex, cosine: Float[Array, "..."]) -> Float[Array, "..."]:
+    """Share of a scattering's light that a direction drawn by the phase function stands for, beside
+    one drawn evenly: p / (p + 1/(4 pi)) with the mean phase function (balance heuristic, Veach &
+    Guibas 1995); 1 where nothing was scattered."""
+    share = jnp.ones_like(cosine)
+    for i, (rows, phases) in enumerate(zip(medium.rows, medium.phases, strict=True)):
+        amounts = jax.lax.stop_gradient(jnp.mean(rows, axis=1)) + _TINY
+        parts = zip(amounts / jnp.sum(amounts), phases, strict=True)
+        p = 4.0 * jnp.pi * sum((w * q(cosine) for w, q in parts), start=jnp.zeros_like(cosine))
+        share = jnp.where(vertex.scattered & (vertex.layer == i), p / (p + 1.0), share)
+    return share
+
+
 def volume_scattering(
     medium: Medium, proposal: Proposal, vertex: Vertex, cosine: Float[Array, "..."]
 ) -> Float[Array, "... wl"]:
@@ -154,9 +171,15 @@ def scatter(
     return scalar, spectral
 
 
-def comb(medium: Medium, lanes: Lanes, kept: int, u: Float[Array, " unit"]) -> Lanes:
-    """`kept` of the lanes of every unit (unit, lane), drawn evenly along their summed importance,
-    with weights that leave every expected value as it is."""
+def comb(
+    medium: Medium,
+    lanes: Lanes,
+    kept: int,
+    u: Float[Array, " unit"],
+    worth: Float[Array, "unit lane"] | float = 1.0,
+) -> Lanes:
+    """`kept` of the lanes of every unit (unit, lane), drawn by importance: their share of the
+    light, the mean of all bands, times what it is worth."""
     lanes_now = jax.lax.stop_gradient(lanes)
     nowhere = tuple(jnp.zeros_like(s) for s in lanes.lengths)
     value = lanes_now.weight[..., None] * attenuated(
@@ -168,7 +191,16 @@ def comb(medium: Medium, lanes: Lanes, kept: int, u: Float[Array, " unit"]) -> L
         jnp.sum(lanes_now.weight, axis=1, keepdims=True), tiny
     )
     # A tenth by the proposal's own weights: also lanes that count only in a derivative live on.
-    importance = jnp.mean(shares, axis=2) + 0.1 * proposal_share
+    return drawn(lanes, (jnp.mean(shares, axis=2) + 0.1 * proposal_share) * worth, kept, u)
+
+
+def drawn(
+    lanes: Lanes, importance: Float[Array, "unit lane"], kept: int, u: Float[Array, " unit"]
+) -> Lanes:
+    """`kept` of the lanes of every unit, drawn evenly along their summed importance, with weights
+    that leave every expected value as it is."""
+    most = jnp.max(importance, axis=1, keepdims=True)
+    importance = jnp.where(most > 0, importance / jnp.where(most > 0, most, 1.0), 1.0)
     upto = jnp.cumsum(importance, axis=1)
     whole = upto[:, -1:]
     teeth = (jnp.arange(kept, dtype=u.dtype)[None, :] + u[:, None]) / kept * whole
@@ -180,8 +212,10 @@ def comb(medium: Medium, lanes: Lanes, kept: int, u: Float[Array, " unit"]) -> L
         return jnp.take_along_axis(leaf, index, axis=1)
 
     lanes = jax.tree.map(take, lanes)
-    copies = kept * jnp.take_along_axis(importance, chosen, axis=1) / jnp.maximum(whole, tiny)
-    return lanes._replace(weight=lanes.weight / jnp.maximum(copies, tiny))
+    copies = kept * jnp.take_along_axis(importance, chosen, axis=1) / whole
+    # Rounding may choose a lane of no importance, at the end of the row.
+    there = copies > 0
+    return lanes._replace(weight=jnp.where(there, lanes.weight / jnp.where(there, copies, 1.0), 0))
 
 
 def settled(medium: Medium, lanes: Lanes) -> Lanes:
@@ -204,7 +238,7 @@ def similar(proposal: Proposal, medium: Medium) -> tuple[Proposal, Medium]:
         rates.append(jnp.maximum(jax.lax.stop_gradient(jnp.min(c[-1])), 1e-6))
     table = jnp.linspace(0.0, 1.0, proposal.tables.shape[1], dtype=proposal.tables.dtype)
     tables = jnp.broadcast_to(table, proposal.tables.shape)
-    proposal = Proposal(jnp.stack(rates), tables, proposal.floor, proposal.things)
+    proposal = Proposal(jnp.stack(rates), tables, proposal.floor, proposal.things, proposal.decay)
     medium = medium._replace(
         c=tuple(c),
         excess=tuple(own - rate for own, rate in zip(c, rates, strict=True)),

@@ -85,6 +85,20 @@ def main() -> None:
             own = [r[3] * scale for r in rows if r[1] == name and low < r[4] <= high]
             print(f"{low:g}-{high:g}: {np.mean(np.array(own) <= 2e-3):.0%} of {len(own)}", end="; ")
         print()
+    # A walk that is counted when it crosses a depth has the relative variance 1/flux - 1.
+    for name in ("Ed", "Eu", "E0"):
+        print(f"{name}, counted walks that one of ours is worth, median:", end=" ")
+        for low, high in ((1e-3, 1e-2), (1e-2, 1e-1), (1e-1, 0.9)):
+            own = [
+                (1 / r[4] - 1) / (r[3] ** 2 * 2**exponent)
+                for r in rows
+                if r[1] == name and low < r[4] <= high and r[3] > 0
+            ]
+            print(f"{low:g}-{high:g}: {np.median(own):.0f}", end="; ")
+        print()
+    bright = [r for r in rows if r[4] > 1e-3]
+    for r in sorted(bright, key=lambda r: -r[3])[:8]:
+        print(f"noisiest: case {r[0]}, {r[1]} {r[4]:.2g}: {r[3] * scale:.2%} at 1e6 paths")
     worst = sorted(exact, key=lambda r: -abs(r[2]))[:5]
     print("worst:", [(r[0], r[1], round(float(r[2]), 2)) for r in worst])
     print(f"2^{exponent} paths, 64 events, {time.process_time() - start:.0f} s of CPU")
