@@ -11,8 +11,8 @@ from fitting._bands import BandFit, Lanes, fit_bands
 from fitting._evidence import filled, ninther
 from fitting.observations import MIN_DEPTHS, Profile
 
-# Lanes of one compiled call for many casts.
-CHUNK = 1024
+# Lanes of one compiled call for many casts of up to 128 depths; of longer ones fewer.
+MOST = 1024
 
 
 def light_of(profile: Profile) -> np.ndarray:
@@ -127,7 +127,8 @@ def fit_lanes(jobs: Sequence[Job]) -> list[BandFit]:
     fits: dict[int, BandFit] = {}
 
     def run(group: list[int]) -> None:
-        total = CHUNK * -(-sum(bands[i] for i in group) // CHUNK)
+        chunk = _chunk(shapes[group[0]][0])
+        total = chunk * -(-sum(bands[i] for i in group) // chunk)
         done = _numpy(fit_bands(_spread(lanes_of([jobs[i] for i in group], total))))
         at = 0
         for i in group:
@@ -138,13 +139,19 @@ def fit_lanes(jobs: Sequence[Job]) -> list[BandFit]:
     group: list[int] = []
     filled_lanes = 0
     for i in sorted(range(len(jobs)), key=lambda i: shapes[i]):
-        if group and (shapes[i] != shapes[group[0]] or filled_lanes + bands[i] > CHUNK):
+        full = filled_lanes + bands[i] > _chunk(shapes[i][0])
+        if group and (shapes[i] != shapes[group[0]] or full):
             run(group)
             group, filled_lanes = [], 0
         group.append(i)
         filled_lanes += bands[i]
     run(group)
     return [fits[i] for i in range(len(jobs))]
+
+
+def _chunk(rows: int) -> int:
+    """Lanes that are fitted together: memory grows with their depths."""
+    return max(MOST * 128 // max(rows, 128), 16)
 
 
 def _numpy(fit: BandFit) -> BandFit:
@@ -154,7 +161,7 @@ def _numpy(fit: BandFit) -> BandFit:
 def _spread(lanes: Lanes) -> Lanes:
     """Lanes shared out over the local devices, where there are several."""
     devices = jax.local_devices()
-    if len(devices) == 1 or CHUNK % len(devices):
+    if len(devices) == 1 or len(lanes.dark) % len(devices):
         return lanes
     mesh = jax.sharding.Mesh(np.array(devices), ("lane",))
     return jax.device_put(lanes, jax.NamedSharding(mesh, jax.sharding.PartitionSpec("lane")))

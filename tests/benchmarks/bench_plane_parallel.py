@@ -4,8 +4,8 @@
 
 20 wavelengths x 10 depths over a floor, 16 streams per hemisphere, float64 unless said; the water
 is a function of three constituents.  Times are processor seconds, the least of several runs.
-Last comes what the gradient of four-stream radiances takes to compile.  A run is written down in
-plane_parallel.md.
+Then come radiances by azimuth orders and rays, and what the gradient of four-stream radiances
+takes to compile.  A run is written down in plane_parallel.md.
 """
 
 import os
@@ -114,6 +114,22 @@ def memory(count):
     return compiled.memory_analysis().temp_size_in_bytes / 1e6
 
 
+def radiance(modes, rays):
+    """(processor seconds, compile seconds) of the light along `rays` lines of sight."""
+    angle = np.linspace(0.3, 2.8, rays)
+    looks = jnp.asarray(np.stack([np.sin(angle), 0.0 * angle, np.cos(angle)], axis=1))
+
+    def seen(p):
+        given = Rays(jnp.asarray([0.0, 0.0, 5.0]), looks)
+        return PlaneParallel(16, modes).radiance(scene(p), given).value
+
+    p = jnp.asarray([1.0, 0.1, 1.0])
+    start = time.process_time()
+    compiled = jax.jit(seen).lower(p).compile()
+    compile_seconds = time.process_time() - start
+    return least(lambda: jax.block_until_ready(compiled(p)), 5), compile_seconds
+
+
 def four_stream():
     """Seconds to compile the derivatives of radiances in a and b, (forward, reverse)."""
     looks = jnp.asarray([[0.6, 0.0, 0.8], [0.0, 0.6, -0.8], [0.0, 0.8, 0.6]])
@@ -151,6 +167,13 @@ def main():
         print(f"{layers} layers {run(layers=layers)[0] * 50:.3f} ms/wl")
     for count in (20, 40, 80):
         print(f"{count} wavelengths: working memory {memory(count):.3f} MB (8 streams)")
+    for modes, rays in ((1, 4), (4, 4), (8, 4), (16, 4), (8, 16), (8, 64)):
+        seconds, compiling = radiance(modes, rays)
+        print(
+            f"radiance, {modes} azimuth orders, {rays} rays: {seconds * 50:.2f} ms/wl "
+            f"({seconds / value:.0f} x fluxes), compiles in {compiling:.1f} s",
+            flush=True,
+        )
     forward, reverse = four_stream()
     print(f"four-stream radiance: gradient compiles in {forward:.1f} (forward), {reverse:.1f} s")
 
