@@ -154,7 +154,7 @@ def test_reverse_is_forward():
 
 
 def test_extremes_in_single_precision():
-    """Thickness up to 100, a/c down to 1e-6: within 1e-5 of float64; derivatives 4e-4 of the
+    """Thickness up to 100, a/c down to 1e-6: within 1e-5 of float64; derivatives 5e-4 of the
     largest from thickness 1 on, 2e-3 at 1e-3 (1.5e-3 on some processors; thinner layers need
     float64 for them)."""
     for a in (1e-6, 0.1, 1.0):
@@ -169,7 +169,7 @@ def test_extremes_in_single_precision():
                 assert np.isfinite(found).all()
                 scale = np.abs(exact).max(axis=(0, 1)) + 1e-12
                 error = np.abs(found - exact).max(axis=(0, 1)) / scale
-                assert thickness < 1e-3 or error.max() < (4e-4 if thickness >= 1 else 2e-3)
+                assert thickness < 1e-3 or error.max() < (5e-4 if thickness >= 1 else 2e-3)
 
 
 def test_functions_of_k_are_their_definitions():
