@@ -284,7 +284,9 @@ def _derivatives(functions, primals, tangents):
     values, slope, slopes = expand(functions, x, parameters, moving)
     changed = None
     for i, part in zip(moving, slopes, strict=True):
-        part = part * dparameters[i]
+        moved = dparameters[i]
+        # A parameter with an axis has one value for each function.
+        part = part * (moved[:, None] if moved.ndim else moved)
         changed = part if changed is None else changed + part
     return values, changed, None if is_zero(dmatrix) else slope
 
