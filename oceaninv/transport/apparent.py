@@ -40,7 +40,11 @@ class Apparent(eqx.Module):
 
 def apparent(scene: Scene, depths, transport: PlaneParallel | None = None) -> Apparent:
     """Attenuation, reflectance and mean cosines at depths (m), from the exact derivative of the
-    fluxes with depth."""
+    fluxes with depth.
+
+    Values only: derivatives of `Kd`, `Ku` and `K0` in the water are not right (a second derivative
+    of the light, which leaves out how its modes change).  Differentiate `kd_between` instead.
+    """
     depths = _depths(scene, depths)
     transport = _default(transport)
     fluxes, slopes = jax.jvp(
