@@ -109,10 +109,12 @@ def check_double(points):
     np.testing.assert_allclose(lost, a * t * scalar, atol=2e-9, rtol=1e-7)
     np.testing.assert_allclose(up[:, -1:], rho * down[:, -1:], atol=1e-13)
     free = (a == 0)[:, 0]
+    assert free.any()
     np.testing.assert_allclose(
         (down[:, -1] - up[:, -1] + up[:, 0])[free], cosine[free, 0], rtol=1e-9
     )
     empty = (b == 0)[:, 0] & (points[:, 4] == 0)
+    assert empty.any()
     beer = cosine * np.exp(-a * t * np.asarray(SHARES) / cosine)
     np.testing.assert_allclose(down[empty], beer[empty], rtol=1e-12)
     # One layer or two of the same.

@@ -214,8 +214,8 @@ def added(terms: Float[Array, "f *more"]) -> Float[Array, "*more"]:
     """Sum over the first axis, term by term or as a product of matrices, never as a sum.
 
     XLA makes a product that is summed over an axis one operation of its own, which in float32 on
-    a CPU ends the process at seven axes and more (jaxlib 0.10.2 and 0.11.0, jax issue 39257); maps
-    over rays, orders, wavelengths and layers bring that many.
+    a CPU ends the process at seven axes and more (jaxlib 0.10.2 and 0.11.0); maps over rays,
+    orders, wavelengths and layers bring that many.
     """
     if terms.shape[0] > 4:
         return jnp.tensordot(jnp.ones_like(terms, shape=terms.shape[:1]), terms, 1)
@@ -267,7 +267,9 @@ def expand(functions: Callable, x, parameters: tuple, moving: list[int]):
         units.append(jnp.broadcast_to(unit, (count, *value.shape)))
 
     def at(k):
-        along = lambda *unit: jax.jvp(of, ((k, *some),), (unit,))  # noqa: E731
+        def along(*unit):
+            return jax.jvp(of, ((k, *some),), (unit,))
+
         return jax.vmap(along, out_axes=(None, 0))(*units)
 
     values, slopes = jax.vmap(at)(jnp.stack([k, safe]))
