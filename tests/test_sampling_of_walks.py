@@ -1,0 +1,106 @@
+"""What Monte Carlo walks draw: numbers, scattering angles, directions, by chi-squared."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy import stats
+
+from oceaninv.phase import (
+    FournierForand,
+    HenyeyGreenstein,
+    Isotropic,
+    Seawater,
+    TwoTermHenyeyGreenstein,
+    petzold,
+)
+from oceaninv.transport import _sampling
+
+PHASES = {
+    "isotropic": Isotropic(),
+    "HG 0.8": HenyeyGreenstein(0.8),
+    "HG 0.99": HenyeyGreenstein(0.99),
+    "HG -0.5": HenyeyGreenstein(-0.5),
+    "TTHG": TwoTermHenyeyGreenstein(0.95, -0.4, 0.9),
+    "seawater": Seawater(),
+    "Fournier-Forand": FournierForand(0.0183),
+    "Petzold": petzold(),
+}
+DRAWS = 2**17
+
+
+@pytest.mark.parametrize("name", PHASES)
+def test_scattering_angles_are_drawn_with_their_density(name):
+    """Chi-squared of 64 bins of sin^2(theta/2) against the stated density, and the mean of
+    phase/density, which is 1: no angle is left out."""
+    phase = PHASES[name]
+    table = _sampling.half_angle_table((phase,), jnp.ones(1))[None]
+    words = _sampling.key_words(jax.random.key(5))
+    paths = jnp.arange(DRAWS, dtype=jnp.uint32)
+    u = _sampling.uniforms(paths, jnp.uint32(3), words, jnp.float64)
+    half, density = _sampling.sample_half_angle(table, jnp.zeros(DRAWS, jnp.int32), u[1])
+    edges = np.asarray(table[0])[:: _sampling.BINS // 64]
+    counts, _ = np.histogram(np.asarray(half), edges)
+    assert stats.chisquare(counts).pvalue > 1e-4
+    ratio = np.asarray(phase(1 - 2 * half) / density)
+    assert abs(ratio.mean() - 1) < 4 * ratio.std() / np.sqrt(DRAWS) + 1e-6
+    assert ratio.std() < 0.1
+
+
+def test_directions_keep_angle_azimuth_and_length():
+    words = _sampling.key_words(jax.random.key(6))
+    u = _sampling.uniforms(jnp.arange(DRAWS, dtype=jnp.uint32), jnp.uint32(0), words, jnp.float64)
+    polar = 2 * u[0] - 1
+    level = jnp.sqrt(1 - polar**2)
+    start = (level * jnp.cos(6.28 * u[3]), level * jnp.sin(6.28 * u[3]), polar)
+    half = u[1] ** 3
+    turned = _sampling.turn(start, half, u[2])
+    cosine = sum(a * b for a, b in zip(start, turned, strict=True))
+    np.testing.assert_allclose(cosine, 1 - 2 * half, atol=1e-12)
+    np.testing.assert_allclose(sum(a**2 for a in turned), 1.0, rtol=1e-12)
+    # About a fixed direction the azimuth is uniform, and a Lambertian cosine squared is.
+    east = tuple(jnp.full(DRAWS, v) for v in (0.6, 0.0, -0.8))
+    x, y, z = _sampling.lambertian(east, u[1], u[2])
+    squared = np.asarray(0.6 * x - 0.8 * z) ** 2
+    azimuth = np.arctan2(np.asarray(y), np.asarray(0.8 * x + 0.6 * z)) / (2 * np.pi) + 0.5
+    for sample in (squared, azimuth, *map(np.asarray, u)):
+        counts, _ = np.histogram(sample, 64, (0.0, 1.0))
+        assert stats.chisquare(counts).pvalue > 1e-4
+
+
+def test_lanes_share_the_strata_of_every_number():
+    """Each lane of a unit has one stratum to itself; over units, one lane's numbers are uniform,
+    singly and in pairs, and so are those of two lanes and two events in different strata."""
+    words, units = _sampling.key_words(jax.random.key(8)), jnp.arange(2**14, dtype=jnp.uint32)
+    path = units[:, None] * jnp.uint32(32) + jnp.arange(32, dtype=jnp.uint32)[None]
+
+    def draw(event):
+        event = jnp.uint32(event)
+        u = _sampling.uniforms(path, event, words, jnp.float64)
+        return [np.asarray(v) for v in _sampling.spread(u, units, event, words)]
+
+    first, second = draw(0), draw(1)
+    for number in first:
+        strata = np.sort((32 * number).astype(int), axis=1)
+        np.testing.assert_array_equal(strata, np.tile(np.arange(32), (len(units), 1)))
+    pairs = [(first[i][:, 5], first[j][:, 5]) for i in range(4) for j in range(i)]
+    pairs += [(first[i][:, 5], second[j][:, 5]) for i in range(4) for j in range(4)]
+    pairs += [(first[0][:, 5], first[1][:, lane]) for lane in (0, 4, 21)]
+    for x, y in pairs:
+        counts, *_ = np.histogram2d(x, y, 16, ((0, 1), (0, 1)))
+        assert stats.chisquare(counts.ravel()).pvalue > 1e-4
+
+
+def test_draws_of_neighbours_and_events_are_unrelated():
+    """Correlation between the numbers of one draw, of neighbouring paths and of successive
+    events, and the pairs' chi-squared on a grid."""
+    words = _sampling.key_words(jax.random.key(7))
+    paths = jnp.arange(DRAWS, dtype=jnp.uint32)
+    first = np.asarray(_sampling.uniforms(paths, jnp.uint32(0), words, jnp.float64))
+    second = np.asarray(_sampling.uniforms(paths, jnp.uint32(1), words, jnp.float64))
+    pairs = [(first[i], first[j]) for i in range(4) for j in range(i)]
+    pairs += [(first[i], second[i]) for i in range(4)]
+    pairs += [(first[i][1:], first[i][:-1]) for i in range(4)]
+    for x, y in pairs:
+        counts, *_ = np.histogram2d(x, y, 16, ((0, 1), (0, 1)))
+        assert stats.chisquare(counts.ravel()).pvalue > 1e-4
