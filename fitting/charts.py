@@ -239,16 +239,23 @@ def table_of(
     charts: Sequence[tuple[str, str, float, ChartReading]],
     windows: Sequence[tuple[float, float, float, float, float]],
     zenith: float,
-    camera: str,
+    camera: str | None = None,
 ) -> str:
     """Readings as the csv that `fitting.readers.read_photo` reads.
 
-    `charts`: (name, kind, range in m, reading); `windows` of open water: (x0, y0, x1, y1, zenith).
+    `charts`: (name, kind, range in m, reading); `windows` of open water: (x0, y0, x1, y1, zenith);
+    `camera`: None takes that of the file, if its response is known.  What the file says about
+    exposure and flash is passed on.
     """
+    facts = [f"# camera: {camera or photograph.camera or 'generic'}"]
+    if photograph.exposure is not None:
+        facts.append(f"# relative_exposure: {photograph.exposure:.6g}")
+    if photograph.flash is not None:
+        facts.append(f"# flash: {'fired' if photograph.flash else 'not fired'}")
     lines = [
         f"# title: Readings of charts and open water in {Path(photograph.source).name}",
         "# units: kind=text, chart=text, target=text, range=m, zenith=degree, *=1",
-        f"# camera: {camera}",
+        *facts,
         "kind,chart,target,patch,reflectance,range,zenith,R,G,B,R_sd,G_sd,B_sd,pixels,clipped",
     ]
 

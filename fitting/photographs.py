@@ -42,9 +42,22 @@ class Photograph:
         return time * iso / 100.0 / number**2
 
     @property
-    def flash(self) -> bool:
-        """Whether the file says that a flash fired."""
-        return bool(int(self.exif.get("Flash", 0)) & 1)
+    def flash(self) -> bool | None:
+        """Whether the file says that a flash fired; None if it does not say."""
+        word = self.exif.get("Flash")
+        return None if word is None else bool(int(word) & 1)
+
+    @property
+    def camera(self) -> str | None:
+        """The camera's name in the table of responses, None if it is not stated or not there."""
+        from oceaninv.spectrum import camera_names
+
+        model = str(self.exif.get("Model", "")).casefold()
+        make = str(self.exif.get("Make", "")).split(" ")[0].casefold()
+        for name in camera_names():
+            if name.casefold() in (model, f"{make} {model}"):
+                return name
+        return None
 
 
 def read_photograph(path: str | Path, encoding: str | None = None) -> Photograph:
@@ -145,6 +158,11 @@ def _read_raw(path: Path) -> tuple[Any, int | None, dict[str, Any], np.ndarray]:
         raise ValueError(f"{path}: raw files need rawpy: pip install 'oceaninv[raw]'.") from None
     try:
         with rawpy.imread(str(path)) as raw:
+            if raw.sizes.width * raw.sizes.height > 4 * _MOST:  # read at half size
+                raise ValueError(
+                    f"{path} has {raw.sizes.width} x {raw.sizes.height} pixels; at most "
+                    f"{4 * _MOST // 10**6} megapixels of raw files are read."
+                )
             values = raw.postprocess(
                 half_size=True,
                 gamma=(1, 1),
@@ -163,7 +181,9 @@ def _read_raw(path: Path) -> tuple[Any, int | None, dict[str, Any], np.ndarray]:
     blocks = counts[: 2 * rows, : 2 * columns]
     blocks = np.pad(blocks, [(0, 2 * rows - blocks.shape[0]), (0, 2 * columns - blocks.shape[1])])
     clipped = blocks.reshape(rows, 2, columns, 2).any(axis=(1, 3))
-    return values / 65535.0, 65535, {}, np.asarray(clipped)
+    from fitting._exif import raw_exif
+
+    return values / 65535.0, 65535, raw_exif(path), np.asarray(clipped)
 
 
 def read_range(path: str | Path, shape: tuple[int, int]) -> Float[np.ndarray, "row column"]:
@@ -208,15 +228,23 @@ def read_range(path: str | Path, shape: tuple[int, int]) -> Float[np.ndarray, "r
 
 def _read_npz(path: Path) -> np.ndarray:
     import zipfile
+    import zlib
 
     try:
-        with np.load(path, allow_pickle=False) as file:
+        # A handle of our own: numpy leaves its own open when the archive is damaged.
+        with open(path, "rb") as handle, np.load(handle, allow_pickle=False) as file:
             if len(file.files) != 1:
                 raise ValueError(
                     f"{path} holds {len(file.files)} arrays ({', '.join(file.files)}); one wanted."
                 )
-            return file[file.files[0]]
-    except (zipfile.BadZipFile, OSError, EOFError) as error:
+            try:
+                values = file[file.files[0]]
+            except ValueError:  # objects, or an array cut short
+                values = np.zeros(0, dtype=object)
+            if values.dtype.kind not in "fiu":
+                raise ValueError(f"{path} holds no array of numbers.")
+            return values
+    except (zipfile.BadZipFile, zlib.error, OSError, EOFError) as error:
         raise ValueError(f"{path} is no readable npz file: {error}") from None
 
 

@@ -135,8 +135,15 @@ def read_photo(
     `camera`: a name of the response table, "generic", or None for the header's `camera`.
     `solar_zenith` and `azimuth` (degrees, 180 with the sun behind the camera): None takes the
     header's, else 40 and 90.  `response_shift` as in `Photo`.
+
+    Header `relative_exposure`: time (s) x ISO/100 / f-number^2, by which photographs of one camera
+    share its gains.  ValueError where the header says `flash: fired`.
     """
+    from fitting.verdicts import FLASH
+
     sheet = read_sheet(path)
+    if sheet.header.get("flash") == "fired":
+        raise ValueError(f"{sheet.path}: {FLASH}.")
     channels = ["R", "G", "B"]
     sheet.require(
         "kind", "chart", "reflectance", "range", "zenith", *channels, *(f"{c}_sd" for c in channels)
@@ -186,6 +193,7 @@ def read_photo(
             response_shift=response_shift,
             solar_zenith=header_number(sheet, "solar_zenith", solar_zenith, 40.0),
             azimuth=header_number(sheet, "azimuth", azimuth, 90.0),
+            exposure=header_number(sheet, "relative_exposure", None, None),
             source=str(path),
         )
     except ValueError as error:

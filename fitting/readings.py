@@ -87,7 +87,7 @@ def _set_readings(readings, values, sigma, zenith, name):
     sigma = 0.01 * np.abs(values) if sigma is None else as_array("sigma", sigma, 2)
     if sigma.shape != values.shape:
         raise ValueError(f"sigma of {name!r} must have the shape of values, {values.shape}.")
-    if np.any(np.asarray(zenith) < 0) or np.any(np.asarray(zenith) > 180):
+    if not np.all((np.asarray(zenith) >= 0) & (np.asarray(zenith) <= 180)):
         raise ValueError(f"zenith of {name!r} must lie between 0 and 180 degrees.")
     for key, value in (("values", values), ("sigma", sigma), ("zenith", zenith), ("name", name)):
         object.__setattr__(readings, key, value)

@@ -1,12 +1,25 @@
-"""Verdicts on readings before a fit: which patches are clipped though they look harmless."""
+"""Verdicts before a fit: on chart readings, pictures and range maps, each with a remedy."""
 
 import dataclasses
+from typing import TYPE_CHECKING
 
 import numpy as np
+
+if TYPE_CHECKING:
+    from fitting.photographs import Photograph
 
 # A patch whose value falls short of the darker ones' straight line by this share is clipped.
 _SHORT = 0.08
 _FEWEST = 3
+# Shares of a channel's pixels: at or below zero, and at full scale, beyond which it is objected to.
+_ZEROED, _FULL = 0.05, 0.01
+# Ranges (m) outside of which a photograph's median is not believed, and the share of missing ones.
+_NEAREST, _FURTHEST, _MISSING = 0.05, 100.0, 0.5
+
+FLASH = "a flash fired: natural-light fits do not apply to what it lit; leave that out"
+
+# Whether it passed, and a sentence: what was found and, where it did not pass, what to do.
+Verdict = tuple[bool, str]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -64,3 +77,57 @@ def _r2(values: np.ndarray, reflectance: np.ndarray) -> np.ndarray:
     fitted = np.polyval(np.polyfit(reflectance, values, 1)[:, None, :], reflectance[:, None])
     left = np.sum((values - fitted) ** 2, axis=0)
     return 1.0 - left / np.sum((values - values.mean(axis=0)) ** 2, axis=0)
+
+
+def of_picture(photo: "Photograph") -> list[Verdict]:
+    """Zeroed channels, clipping at full scale and below it, flash; one sentence each."""
+    found = []
+    for c, plane in zip("RGB", np.moveaxis(photo.values, 2, 0), strict=True):
+        zero, full = float(np.mean(~(plane > 0))), float(np.mean(plane >= 1))
+        text = f"{c}: {100 * zero:.2f} % at or below zero, {100 * full:.2f} % at full scale"
+        if zero > _ZEROED:
+            text += "; the channel was cut by the developer or is dark: lower its black level"
+        if full > _FULL:
+            text += "; expose less, and read no patch there"
+        hidden = _heap(plane)
+        if hidden is not None:
+            text += (
+                f"; values heap up at {hidden:.3f}, so it was clipped there before the exposure "
+                "was changed: read no patch that bright"
+            )
+        found.append((zero <= _ZEROED and full <= _FULL and hidden is None, text))
+    if photo.flash:
+        found.append((False, FLASH))
+    return found
+
+
+def _heap(plane: np.ndarray) -> float | None:
+    """The brightest value below full scale at which far more pixels lie than just below it."""
+    seen = plane[np.isfinite(plane) & (plane > 0)]
+    if not len(seen) or ((top := float(seen.max())) >= 1.0 and top < 1.001):
+        return None
+    at_top = int(np.sum(seen >= 0.999 * top))
+    below = int(np.sum((seen >= 0.9 * top) & (seen < 0.999 * top))) / 99.0
+    return top if at_top > max(50.0, 1e-4 * seen.size, 20.0 * below) else None
+
+
+def of_range(distance: np.ndarray, what: str = "range map") -> list[Verdict]:
+    """Missing ranges and units that look wrong; `distance` in metres, NaN where missing."""
+    distance = np.asarray(distance, dtype=float)
+    known = distance[np.isfinite(distance) & (distance > 0)]
+    missing = 1.0 - known.size / max(distance.size, 1)
+    text = f"{what}: {100 * missing:.1f} % missing"
+    if not known.size:
+        return [(False, f"{text}: give the ranges, without them no water can be told")]
+    middle = float(np.median(known))
+    text += f", {known.min():.3g} to {known.max():.3g} m, median {middle:.3g} m"
+    if missing > _MISSING:
+        return [(False, f"{text}; most is missing: only what has a range can be used")]
+    if middle > _FURTHEST:
+        unit = "millimetres" if middle > 10 * _FURTHEST else "centimetres or millimetres"
+        return [(False, f"{text}; no water lets one see so far, these look like {unit}: "
+                 "convert them to metres")]  # fmt: skip
+    if middle < _NEAREST:
+        return [(False, f"{text}; too near, these look like kilometres, a disparity or a relative "
+                 "depth: convert them to metres")]  # fmt: skip
+    return [(True, text)]

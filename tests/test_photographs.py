@@ -77,9 +77,65 @@ def test_exif_gives_exposure_and_flash(tmp_path):
     photo = read_photograph(write(tmp_path / "a.tif", IMAGE, "uint16", **stated))
     assert photo.flash
     assert photo.exposure is None
+    assert photo.camera is None
     photo = dataclasses.replace(photo, exif={**photo.exif, "ISO": 200})
     assert photo.exposure == pytest.approx(0.005 * 2 / 64, rel=1e-3)
-    assert read_photograph(write(tmp_path / "b.exr", IMAGE, "half")).exposure is None
+    bare = read_photograph(write(tmp_path / "b.exr", IMAGE, "half"))
+    assert (bare.exposure, bare.flash, bare.camera) == (None, None, None)
+    named = dataclasses.replace(bare, exif={"Make": "NIKON CORPORATION", "Model": "NIKON D810"})
+    assert named.camera == "Nikon D810"
+
+
+def write_dng(path, mosaic, flash):
+    """A minimal raw file: one uncompressed 16-bit RGGB mosaic, black 100, white 4100."""
+    height, width = mosaic.shape
+    exif = [(0x829A, 5, (1, 200)), (0x829D, 5, (8, 1)), (0x8827, 3, (125,)), (0x9209, 3, (flash,))]
+    main = [
+        (254, 4, (0,)), (256, 4, (width,)), (257, 4, (height,)), (258, 3, (16,)), (259, 3, (1,)),
+        (262, 3, (32803,)), (271, 2, b"NIKON CORPORATION\0"), (272, 2, b"NIKON D810\0"),
+        (273, 4, (8,)), (277, 3, (1,)), (278, 4, (height,)), (279, 4, (2 * width * height,)),
+        (0x8769, 4, (8 + 2 * width * height,)), (33421, 3, (2, 2)), (33422, 1, (0, 1, 1, 2)),
+        (50706, 1, (1, 4, 0, 0)), (50714, 3, (100,)), (50717, 3, (4100,)),
+        (50721, 10, (1, 1, 0, 1, 0, 1, 0, 1, 1, 1, 0, 1, 0, 1, 0, 1, 1, 1)),
+    ]  # fmt: skip
+    form = {1: "B", 3: "H", 4: "I", 5: "I", 10: "i"}
+
+    def directory(entries, start):
+        head, tail, at = struct.pack("<H", len(entries)), b"", start + 2 + 12 * len(entries) + 4
+        for tag, kind, values in entries:
+            data = values if kind == 2 else struct.pack(f"<{len(values)}{form[kind]}", *values)
+            count = len(values) // (2 if kind in (5, 10) else 1)
+            place = data.ljust(4, b"\0") if len(data) <= 4 else struct.pack("<I", at + len(tail))
+            tail += data if len(data) > 4 else b""
+            head += struct.pack("<HHI", tag, kind, count) + place
+        return head + b"\0\0\0\0" + tail
+
+    pixels = mosaic.astype("<u2").tobytes()
+    inner = directory(exif, 8 + len(pixels))
+    start = 8 + len(pixels) + len(inner)
+    outer = directory(main, start)
+    path.write_bytes(b"II*\0" + struct.pack("<I", start) + pixels + inner + outer)
+    return path
+
+
+def test_raw_files_are_linear_counts_above_black(tmp_path):
+    pytest.importorskip("rawpy")
+    share = RNG.uniform(0.1, 0.8, (16, 20, 3))
+    mosaic = np.zeros((32, 40))
+    for row, column, channel in ((0, 0, 0), (0, 1, 1), (1, 0, 1), (1, 1, 2)):
+        mosaic[row::2, column::2] = 100 + 4000 * share[:, :, channel]
+    mosaic[6, 8] = 4100
+    photo = read_photograph(write_dng(tmp_path / "ünder water.dng", np.round(mosaic), flash=25))
+    assert photo.camera == "Nikon D810"
+    assert photo.flash
+    assert photo.exposure == pytest.approx(1 / 200 * 1.25 / 64)
+    np.testing.assert_array_equal(np.argwhere(~photo.mask.all(axis=2)), [[3, 4]])
+    share[3, 4, 0] = 1.0
+    np.testing.assert_allclose(photo.values / photo.values[0, 0], share / share[0, 0], rtol=3e-3)
+    cut = tmp_path / "cut.dng"
+    cut.write_bytes((tmp_path / "ünder water.dng").read_bytes()[:400])
+    with pytest.raises(ValueError, match="cannot be read as a raw file"):
+        read_photograph(cut)
 
 
 def broken(tmp_path, name):

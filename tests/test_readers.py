@@ -106,6 +106,8 @@ PHOTO = (
         (("reflectance,range", "albedo,range"), r"column 'reflectance' is missing"),
         (("chart,A,0.5,2", "chart,A,0.5,-2"), r"distance of chart 'A' must be positive"),
         (("chart,A,0.5,2,90", "chart,A,7,2,90"), r"reflectance of chart 'A' must lie between"),
+        (("# camera", "# flash: fired\n# camera"), r"charts.csv: a flash fired"),
+        (("# camera", "# relative_exposure: long\n# camera"), r"'relative_exposure' is 'long'"),
     ],
 )
 def test_bad_chart_readings_get_a_sentence(tmp_path, change, sentence):
@@ -121,3 +123,9 @@ def test_field_noise_adds_to_the_stated_noise(tmp_path):
     photo, clipped = read_photo(path, 5.0, field_noise=0.1)
     assert clipped == 0
     np.testing.assert_allclose(photo.charts[0].sigma[0], np.hypot(0.01, [0.02, 0.04, 0.05]))
+
+
+def test_the_exposure_of_a_file_is_passed_on(tmp_path):
+    assert read_photo(write(tmp_path, PHOTO), 5.0)[0].exposure is None
+    text = PHOTO.replace("# camera", "# flash: not fired\n# relative_exposure: 1e-4\n# camera")
+    assert read_photo(write(tmp_path, text), 5.0)[0].exposure == 1e-4

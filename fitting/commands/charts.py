@@ -27,7 +27,9 @@ def read_charts_command(
     encoding: Annotated[
         str | None, typer.Option(help="linear or sRGB, for files that do not say.")
     ] = None,
-    camera: Annotated[str, typer.Option(help="Camera by name, or generic.")] = "generic",
+    camera: Annotated[
+        str | None, typer.Option(help="Camera by name, or generic; unless given, the file's.")
+    ] = None,
 ) -> None:
     """Read the patches of charts in a photograph: a csv for fit-photo, a picture of where."""
     import numpy as np

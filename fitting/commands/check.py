@@ -11,11 +11,19 @@ def check_command(
     encoding: Annotated[
         str | None, typer.Option(help="linear or sRGB, for files that do not say.")
     ] = None,
+    range_map: Annotated[
+        Path | None, typer.Option(help="Range map of the picture: gaps and units.")
+    ] = None,
 ) -> None:
     """Say whether photographs and chart readings are fit to be inverted; code 1 where not."""
+    if range_map is not None and len(paths) > 1:
+        raise ValueError("--range-map belongs to one picture; check one at a time.")
     bad = 0
     for path in paths:
-        lines = _charts(path) if path.suffix.lower() == ".csv" else _picture(path, encoding)
+        if path.suffix.lower() == ".csv":
+            lines = _charts(path)
+        else:
+            lines = _picture(path, encoding, range_map)
         print(path)
         for passed, text in lines:
             print(f"  {'ok' if passed else 'NO'}  {text}")
@@ -29,7 +37,7 @@ def _charts(path: Path) -> list[tuple[bool, str]]:
     import numpy as np
 
     from fitting.readers import read_sheet
-    from fitting.verdicts import linearity
+    from fitting.verdicts import FLASH, linearity, of_range
 
     sheet = read_sheet(path)
     sheet.require("kind", "chart", "reflectance", "R", "G", "B")
@@ -53,25 +61,22 @@ def _charts(path: Path) -> list[tuple[bool, str]]:
         if found.clipped.any() and not fresh.any():
             text += " (all marked so in the file)"
         lines.append((not fresh.any(), text))
+    if is_chart.any() and "range" in sheet.columns:
+        lines += of_range(sheet.numbers("range")[is_chart], "ranges of the charts")
+    grey = reflectance[is_chart & np.isfinite(reflectance)]
+    if grey.size and grey.max() > 1.5:
+        lines.append((False, f"reflectances up to {grey.max():.3g} look like per cent: divide "
+                      "them by 100"))  # fmt: skip
+    if sheet.header.get("flash") == "fired":
+        lines.append((False, FLASH))
     return lines
 
 
-def _picture(path: Path, encoding: str | None) -> list[tuple[bool, str]]:
-    import numpy as np
-
-    from fitting.photographs import read_photograph
+def _picture(path: Path, encoding: str | None, range_map: Path | None) -> list[tuple[bool, str]]:
+    from fitting.photographs import read_photograph, read_range
+    from fitting.verdicts import of_picture, of_range
 
     photo = read_photograph(path, encoding)
-    lines = []
-    for c, plane in zip("RGB", np.moveaxis(photo.values, 2, 0), strict=True):
-        zero = float(np.mean(~(plane > 0)))
-        full = float(np.mean(plane >= 1))
-        text = f"{c}: {100 * zero:.2f} % at or below zero, {100 * full:.2f} % at full scale"
-        if zero > 0.05:
-            text += "; the channel was cut by the developer or is dark: lower its black level"
-        if full > 0.01:
-            text += "; expose less, and read no patch there"
-        lines.append((zero <= 0.05 and full <= 0.01, text))
-    if photo.flash:
-        lines.append((False, "a flash fired: natural-light fits do not apply to what it lit"))
-    return lines
+    if range_map is None:
+        return of_picture(photo)
+    return of_picture(photo) + of_range(read_range(range_map, photo.values.shape[:2]))
