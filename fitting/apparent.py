@@ -59,6 +59,8 @@ def fit_waters(
 
 # Of Kd to begin with, and worth how many degrees of freedom; those of Student's t; rounds.
 _KD_ERROR, _WORTH, _TAILS, _REWEIGHTINGS = 0.05, 4.0, 4.0, 3
+# What all bands of a measured Kd have wrong together, relative.
+_LEVEL = 0.1
 
 
 def _fit(found: WaterFit, wavelength, predictive: Predictive, metadata: dict, dof=None) -> Fit:
@@ -130,6 +132,9 @@ def fit_apparent(
     - `transport`, `priors`: as for `fit_profile`, with nuisances of shape twice as wide, and free
       departures of the spectrum of absorption (`fitting.parameters.absorption_shapes`): without
       them a few bands claim to tell chlorophyll, CDOM and detritus of any sea apart, and err.
+      What all bands of a Kd have wrong together (`closure`: waves over the metres that it is the
+      mean of, tilt, metres other than those to 1/Kd) is free within 10 %; the red, where water
+      itself absorbs, fixes most of it.
 
     **Returns** a `Fit` per station, as `fit_profile` with a transport.
 
@@ -170,9 +175,10 @@ def fit_apparent(
 
 def _any_sea(solar_zenith: float | None) -> list[Parameter]:
     """Unknowns of a water of which nothing is known, not even the kind of sea."""
-    shapes = {p.name for p in shape_nuisances()}
+    spreads = {p.name: 2.0 * p.spread for p in shape_nuisances() if p.spread}
+    spreads["closure"] = _LEVEL
     return [
-        dataclasses.replace(p, spread=2.0 * p.spread) if p.name in shapes and p.spread else p
+        dataclasses.replace(p, spread=spreads.get(p.name, p.spread))
         for p in (*water_unknowns(solar_zenith), *absorption_shapes())
     ]
 
