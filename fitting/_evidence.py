@@ -63,6 +63,23 @@ def whitened(residual: np.ndarray, depth: np.ndarray, length: np.ndarray) -> np.
     return np.where(lines.used, lines.white(np.nan_to_num(residual), length), np.nan)
 
 
+def worth(depth: np.ndarray, mask: np.ndarray, length: np.ndarray) -> np.ndarray:
+    """(depth, wl) factors on the deviations of samples whose noise is correlated over depth.
+
+    Waves of a `length` (wl,) m leave n (1 - rho)/(1 + rho) independent samples of n, rho the
+    correlation of neighbours: what a smooth curve through them is known by.
+    """
+    rows = np.where(mask, np.arange(len(depth))[:, None], -1)
+    last = np.maximum.accumulate(rows, axis=0)
+    before = np.concatenate([np.full_like(last[:1], -1), last[:-1]])
+    gap = depth[:, None] - depth[np.maximum(before, 0)]
+    length = np.nan_to_num(length)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        rho = np.where((before >= 0) & (length > 0), np.exp(-gap / length), 0.0)
+    rho = np.minimum(rho, _MOST_CORRELATED)
+    return np.sqrt((1.0 + rho) / (1.0 - rho))
+
+
 def choose_interfaces(
     depth: np.ndarray, light: np.ndarray, floor: np.ndarray, mask: np.ndarray, layers: int | None
 ) -> np.ndarray:

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from fitting._bands import BandFit, thickness
-from fitting._evidence import choose_interfaces
+from fitting._evidence import choose_interfaces, worth
 from fitting._lanes import Job, light_of, padded, window
 from fitting._sensor import MIN_DEPTHS
 from fitting._waters import Spectra, nodes_and_basis
@@ -78,6 +78,7 @@ def spectra_of(cast: Cast, fits: Mapping[str, BandFit], transport) -> Spectra:
     else:
         sd = profile.sigma[:n] / reference
     used = fit.used[:, :n].T & job.mask[:n] & (np.asarray(fit.code) == 0)[None, :]
+    sd = sd * worth(depth, used, np.asarray(fit.length))
     nodes, basis = nodes_and_basis(depth, float(depth.max()))
 
     def pad(array, fill):

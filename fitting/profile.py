@@ -3,30 +3,23 @@
 import dataclasses
 from collections.abc import Mapping
 
-import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
 
 import oceaninv as oi
 from fitting._bands import BandFit, thickness
-from fitting._evidence import runs_p, whitened
+from fitting._cast_problem import CastProblem, Samples, describe_cast, lights, solve_cast
+from fitting._evidence import runs_p, whitened, worth
 from fitting._lanes import Job, fit_lanes, light_of, padded
 from fitting._par import light_of_bands, light_of_sensor, light_quantities
 from fitting._planned import Demand, fit_within, scene_at
-from fitting._programs import kept
 from fitting._upward import Cast, cast_of, cast_quantities, lit, upward_notes
+from fitting.layered import check_layers, interfaces_of, layer_units, layer_unknowns
 from fitting.observations import Profile
-from fitting.parameters import Log, Parameter, Parameters, Prior, water_iops, water_unknowns
+from fitting.parameters import Log, Parameter, Parameters, water_unknowns
 from fitting.posterior import Fit, Predictive, Quantity
-from fitting.quantities import quantities_of, water_quantities
-from fitting.solve import (
-    covariance,
-    least_squares,
-    sentence,
-    value_and_jacobian,
-)
+from fitting.quantities import UNITS, quantities_of
+from fitting.solve import sentence
 from oceaninv.fidelity.choice import rung
 from oceaninv.transport.base import AbstractTransport
 
@@ -60,10 +53,12 @@ def fit_profile(
       `{"cdom": Parameter("cdom", 0.12, 0.1)}`.
     - `depth_range`: (low, high) metres; by default each band is used from the surface to the
       depth where its light has fallen to 10 %.
-    - `layers`: how many layers of constant Kd, without a transport; None lets the Bayes
-      information criterion choose up to four.  Their interfaces stand in
-      `metadata["interfaces_m"]`, the parameters are "Kd_<nm>_1" and so on downwards, and the
-      quantity "Kd" is the mean over the depths that were used.
+    - `layers`: how many layers of constant Kd; None lets the Bayes information criterion choose
+      up to four.  Their interfaces stand in `metadata["interfaces_m"]`, the parameters are
+      "Kd_<nm>_1" and so on downwards, and the quantity "Kd" is the mean over the depths that were
+      used.  With `oceaninv.PlaneParallel()` as the transport each layer has its own constituents,
+      "chlorophyll_1" and so on, and the search goes on to move the interfaces
+      ("thickness_1", ...); shapes of optical properties are those of all layers.
     - `tolerance`: instead of a transport, the largest relative error of Ed that it may bring: the
       cheapest that is good enough for the water found is taken, see `oceaninv.plan`, and what it
       gets wrong there is corrected by one look at the exact light; which, its predicted error and
@@ -75,13 +70,18 @@ def fit_profile(
     it the depths Z_10 and Z_eu of 10 and 1 % of it.  With a transport also Kd(490), c(550),
     bb(550) and a_cdm(440) of the water.
     """
-    if (transport is not None or tolerance is not None) and layers != 1:
-        raise ValueError("layers apply to a fit of Kd alone; a transport fits one water.")
+    if layers != 1:
+        if tolerance is not None:
+            raise ValueError("a tolerance chooses among models of one water: leave out layers.")
+        if transport is not None:
+            check_layers(transport)
     if transport is None and tolerance is None and priors:
         raise ValueError("priors apply to a fit through a transport; Kd alone has none.")
     if len(profile.beam_wavelength) and tolerance is not None:
         raise ValueError("a and c are fitted through a transport that is named, not a tolerance.")
     if len(profile.beam_wavelength) and transport is not None:
+        if layers != 1:
+            raise ValueError("a and c are fitted to one water: leave them or the layers out.")
         from fitting.profiles import fit_profiles
 
         options = {"depth_range": depth_range, "transport": transport, "priors": priors}
@@ -92,8 +92,7 @@ def fit_profile(
 
         def solve(model, start, ratio=None):
             metadata = _metadata(cast, bands) | {"transport": type(model).__name__}
-            mask = cast.job.mask
-            return _constituent_fit(profile, mask, bands, model, priors, metadata, start, ratio)
+            return _constituent_fit(cast, bands, model, priors, metadata, start, ratio)
 
         def scene(fit):
             return scene_at(fit.parameters, fit.x, profile.wavelength)
@@ -104,7 +103,7 @@ def fit_profile(
         return kd_fit(cast, {kind: fit_lanes([job])[0] for kind, job in cast.jobs.items()})
     (bands,) = fit_lanes([cast.job])
     metadata = _metadata(cast, bands) | {"transport": type(transport).__name__}
-    return _constituent_fit(profile, cast.job.mask, bands, transport, priors, metadata)
+    return _constituent_fit(cast, bands, transport, priors, metadata)
 
 
 def _used(job: Job, bands: BandFit) -> np.ndarray:
@@ -220,11 +219,12 @@ def _predictive(profile, mask, bands, model) -> Predictive:
     )
 
 
-def _unknowns(profile: Profile, bands: BandFit, priors) -> Parameters:
-    surface = np.exp(bands.x[:, 0])
+def _unknowns(job: Job, bands: BandFit, priors) -> Parameters:
+    profile, surface = job.profile, np.exp(bands.x[:, 0])
+    zenith, layers = profile.solar_zenith, job.interfaces.tolist()
     parameters = Parameters(
         [
-            *water_unknowns(profile.solar_zenith),
+            *(layer_unknowns(layers, zenith) if layers else water_unknowns(zenith)),
             *(
                 Parameter(f"Ed0_{wl:g}", float(e), None, Log(), "W m-2 nm-1", True)
                 for wl, e in zip(profile.wavelength, surface, strict=True)
@@ -234,61 +234,7 @@ def _unknowns(profile: Profile, bands: BandFit, priors) -> Parameters:
     return parameters.replace(priors or {})
 
 
-class _Cast(eqx.Module):
-    """The arrays that a constituent fit sees, padded."""
-
-    depth: Float[Array, " depth"]
-    Ed: Float[Array, "depth wl"]
-    sd: Float[Array, "depth wl"]
-    mask: Bool[Array, "depth wl"]
-    ratio: Float[Array, "depth wl"]  # of the light to that of the transport
-
-
-def _model_ed(parameters: Parameters, grid, transport, x, depth):
-    values = parameters.values(x)
-    wavelength = np.asarray(grid)
-    water = water_iops(values, wavelength)
-    sun = jnp.ones(len(grid), dtype=x.dtype)
-    zenith = jnp.minimum(values["solar_zenith"], 89.0)
-    scene = oi.Scene(water, oi.Light(zenith, sun), oi.FlatSurface())
-    stretched = depth * (1.0 + values["closure"])
-    field = transport.irradiance(
-        scene, jnp.concatenate([jnp.zeros_like(depth[:1]), stretched]), None
-    )
-    relative = field.Ed.value[1:] / field.Ed.value[:1]
-    surface = jnp.stack([values[f"Ed0_{wl:g}"] for wl in grid])
-    return surface[None, :] * relative
-
-
-@kept
-def _solve_constituents(layout: Parameters, prior: Prior, grid, transport, cast: _Cast, start):
-    def residual(x, cast):
-        model = cast.ratio * _model_ed(layout, grid, transport, x, cast.depth)
-        data = jnp.where(cast.mask, (cast.Ed - model) / cast.sd, 0.0)
-        return jnp.concatenate([data.reshape(-1), prior.residual(x)])
-
-    optimum = least_squares(residual, start, cast, prior.scale)
-    data = optimum.residual[: cast.Ed.size].reshape(cast.Ed.shape)
-    model = jnp.where(cast.mask, cast.Ed - data * cast.sd, jnp.nan)
-    return optimum, covariance(optimum.jacobian), model
-
-
-@kept
-def _describe(layout: Parameters, grid, transport, x):
-    """The water's quantities and their slopes: not of the search, so it compiles beside it."""
-
-    def outcome(x):
-        return water_quantities(layout.values(x), np.asarray(grid), transport)
-
-    return value_and_jacobian(outcome, x)
-
-
 EXACT = oi.PlaneParallel()  # by which fits within a tolerance are corrected
-
-
-@kept
-def _lights(layout: Parameters, grid, transports, x, depth):
-    return tuple(_model_ed(layout, grid, transport, x, depth) for transport in transports)
 
 
 def _corrected(fit: Fit, transport: AbstractTransport, solve, profile: Profile) -> Fit:
@@ -306,7 +252,7 @@ def _corrected(fit: Fit, transport: AbstractTransport, solve, profile: Profile) 
     plan = fit.metadata["plan"]
     for _ in range(2):
         x = jax.device_put(np.asarray(fit.x))
-        cheap, true = _lights(layout, grid, (transport, exact), x, jax.device_put(depth))
+        cheap, true = lights(layout, grid, (transport, exact), x, jax.device_put(depth))
         ratio = np.where(np.asarray(cheap) > 0, np.asarray(true) / np.asarray(cheap), 1.0)
         largest = float(np.max(np.abs(ratio[: len(profile.depth)] - 1.0)))
         fit = solve(transport, np.asarray(fit.x), ratio)
@@ -314,11 +260,11 @@ def _corrected(fit: Fit, transport: AbstractTransport, solve, profile: Profile) 
     return dataclasses.replace(fit, metadata={**fit.metadata, "plan": plan})
 
 
-def _constituent_fit(
-    profile, mask, bands, transport, priors, metadata, start=None, ratio=None
-) -> Fit:
-    parameters = _unknowns(profile, bands, priors)
-    model = _band_model(profile, bands.x, np.zeros(0))
+def _constituent_fit(cast: Cast, bands, transport, priors, metadata, start=None, ratio=None) -> Fit:
+    profile, interfaces = cast.job.profile, cast.job.interfaces
+    mask = _used(cast.job, bands)
+    parameters = _unknowns(cast.job, bands, priors)
+    model = _band_model(profile, bands.x, interfaces)
     extra = padded(len(profile.depth)) - len(profile.depth)
 
     def pad(array, fill):
@@ -327,22 +273,30 @@ def _constituent_fit(
 
     # The model knows neither darkness nor changes of the sun: the data are rid of them.
     light = light_of(profile)
-    cast = _Cast(
+    reference = 1.0 if profile.reference is None else profile.reference
+    sd = _noise_sd(profile, bands, model) / reference * worth(profile.depth, mask, bands.length)
+    samples = Samples(
         pad(profile.depth, 0.0),
         pad(np.where(mask, light, 1.0), 1.0),
-        pad(np.where(mask, _noise_sd(profile, bands, model), 1.0), 1.0),
+        pad(np.where(mask, sd, 1.0), 1.0),
         pad(mask, False),
         pad(np.ones_like(light), 1.0) if ratio is None else jax.device_put(ratio),
     )
-    grid = tuple(profile.wavelength.tolist())
-    prior = parameters.prior()
+    reach, units = None, UNITS
+    if len(interfaces):
+        deepest = np.array([profile.depth[m].max() for m in mask.T])
+        reach, units = jax.device_put(deepest), layer_units(len(interfaces) + 1)
+    prior, grid = parameters.prior(), tuple(profile.wavelength.tolist())
     start = prior.centre if start is None else jax.device_put(start)
-    layout = parameters.layout()
-    _describe.prepare(layout, grid, transport, start)
-    optimum, cov, fitted = _solve_constituents(layout, prior, grid, transport, cast, start)
-    values, slopes = _describe(layout, grid, transport, optimum.x)
+    problem = CastProblem(parameters.layout(), grid, transport, prior, samples, reach)
+    describe_cast.prepare(problem, start)
+    optimum, cov, fitted = solve_cast(problem, start)
+    values, slopes = describe_cast(problem, optimum.x)
     cov = np.asarray(cov)
-    quantities, sensitivity = quantities_of(values, slopes, parameters, cov)
+    quantities, sensitivity = quantities_of(values, slopes, parameters, cov, units=units)
+    if len(interfaces):
+        moved = interfaces_of(parameters, np.asarray(optimum.x))
+        metadata = metadata | {"interfaces_m": moved, "kd_definition": units["Kd"][1]}
     return Fit(
         parameters,
         np.asarray(optimum.x),
@@ -353,4 +307,5 @@ def _constituent_fit(
         _predictive(profile, mask, bands, np.asarray(fitted)[: len(profile.depth)]),
         metadata,
         sensitivity=sensitivity,
+        problem=problem,
     )

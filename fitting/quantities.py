@@ -21,7 +21,7 @@ UNITS = {
     "bb_550": ("m-1", "backscattering coefficient at 550 nm"),
     "a_cdm_440": ("m-1", "absorption by CDOM and detritus at 440 nm"),
 }
-_MARKS = np.array([440.0, 490.0, 550.0])
+MARKS = np.array([440.0, 490.0, 550.0])
 
 
 def kd_to_ten_percent(
@@ -43,13 +43,13 @@ def water_quantities(
     values: Mapping[str, Float[Array, ""]], wavelength: np.ndarray, transport: AbstractTransport
 ) -> dict[str, Float[Array, "..."]]:
     """The quantities named in `UNITS` from parameter values; spectra on `wavelength`."""
-    grid = np.union1d(wavelength, _MARKS)
+    grid = np.union1d(wavelength, MARKS)
     water = water_iops(values, grid)
     # `closure`: relative error of the transport's Kd, a nuisance of the fits.
     error = 1.0 + values.get("closure", 0.0)
     kd = error * kd_to_ten_percent(water, values["solar_zenith"], transport)
     asked = np.searchsorted(grid, wavelength)
-    at_440, at_490, at_550 = np.searchsorted(grid, _MARKS)
+    at_440, at_490, at_550 = np.searchsorted(grid, MARKS)
     row = dict(zip(water.absorbers, water.a_components, strict=True))
     return {
         "Kd": kd[asked],
@@ -78,16 +78,17 @@ def nearest_jerlov(wavelength: np.ndarray, kd: Quantity) -> tuple[str, float]:
 
 
 def quantities_of(
-    values, slopes, parameters: Parameters, covariance: np.ndarray, bend=None
+    values, slopes, parameters: Parameters, covariance: np.ndarray, bend=None, units=UNITS
 ) -> tuple[dict[str, Quantity], dict[str, dict[str, float]]]:
     """Quantities with standard deviations, and how far each scalar leans on each nuisance.
 
-    `bend`: what curvature does (`fitting.solve.Bend`); its spread, at most that of the linear
-    error, goes into the intervals.  The second: by quantity and nuisance, the relative change of
-    the quantity if the nuisance's prior were centred one spread higher (linearised).
+    `units`: unit and long name of each.  `bend`: what curvature does (`fitting.solve.Bend`); its
+    spread, at most that of the linear error, goes into the intervals.  The second: by quantity and
+    nuisance, the relative change of the quantity if the nuisance's prior were centred one spread
+    higher (linearised).
     """
     quantities, leaning = {}, {}
-    for name, unit in UNITS.items():
+    for name, unit in units.items():
         value, slope = np.asarray(values[name]), np.asarray(slopes[name])
         found = derived_quantity(value, slope, covariance, *unit)
         if bend is not None:

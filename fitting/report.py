@@ -16,6 +16,8 @@ from fitting.posterior import Fit, Quantity
 if TYPE_CHECKING:
     import xarray
 
+    from fitting.smooth import SmoothKd
+
 STANDARD_NAMES = {
     "Kd": "volume_attenuation_coefficient_of_downwelling_radiative_flux_in_sea_water",
     "c": "volume_beam_attenuation_coefficient_of_radiative_flux_in_sea_water",
@@ -147,13 +149,17 @@ def _content(fit: Fit) -> tuple[dict, dict, dict]:
     return data, coords, attributes
 
 
-def save(path: str | Path, fit: Fit, constituents: Fit | None = None) -> None:
-    """Write a fit as netCDF; a fit of constituents goes into the group "constituents"."""
+def save(
+    path: str | Path, fit: Fit, constituents: Fit | None = None, smooth: "SmoothKd | None" = None
+) -> None:
+    """Write a fit as netCDF; constituents and a smooth Kd(z) go into groups of these names."""
     with whole(path) as temporary:
         temporary.unlink()  # the writer starts from nothing or from a netCDF file, not an empty one
         _netcdf.write(temporary, *_content(fit))
         if constituents is not None:
             _netcdf.write(temporary, *_content(constituents), group="constituents")
+        if smooth is not None:
+            _netcdf.write(temporary, *smooth.content(), group="smooth")
 
 
 def picture(fit: Fit, path: str | Path, constituents: Fit | None = None) -> None:
@@ -196,6 +202,12 @@ def _draw_profile(axes, fit: Fit) -> None:
         axes.plot(observed[kept], depth[kept], ".", ms=4, color=colour, alpha=0.55)
         label = f"{wavelength:g} nm" if len(fit.wavelength) <= 8 else None
         axes.plot(predicted[kept], depth[kept], "-", lw=1.4, color=colour, label=label)
+        if len(fit.wavelength) <= 8:
+            reach = 1.96 * predictive.sd[:, i][kept]
+            # The axis is logarithmic: what the noise floor takes below zero ends at a hundredth.
+            low = np.maximum(predicted[kept] - reach, 0.01 * predicted[kept])
+            high = predicted[kept] + reach
+            axes.fill_betweenx(depth[kept], low, high, color=colour, alpha=0.12, lw=0)
     axes.set(xscale="log", xlabel="Ed (W m⁻² nm⁻¹)", ylabel="depth (m)")
     axes.set_ylim(depth[used].max() * 1.03, 0)
     light = predictive.observed[predictive.observed > 0]
@@ -203,7 +215,8 @@ def _draw_profile(axes, fit: Fit) -> None:
     axes.xaxis.set_major_locator(LogLocator(subs=(1.0,) if wide else (1.0, 2.0, 5.0)))
     axes.xaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
     axes.xaxis.set_minor_formatter(NullFormatter())
-    axes.set_title("measured (dots) and fitted (lines)", fontsize=10)
+    bands = ", 95 % of samples (bands)" if len(fit.wavelength) <= 8 else ""
+    axes.set_title(f"measured (dots), fitted (lines){bands}", fontsize=10)
     if len(fit.wavelength) <= 8:
         axes.legend(frameon=False, fontsize=9)
 

@@ -64,7 +64,7 @@ def sample(
 
     **Arguments:**
 
-    - `fit`: a fit of photographs.
+    - `fit`: of photographs, or of a cast's constituents from its light alone.
     - `key`: of the random numbers; that of seed 0 unless given.
     - `sampler`: how many draws, chains and steps.
 
@@ -73,7 +73,10 @@ def sample(
     `result` says when they forbid trust.
     """
     if fit.problem is None:
-        raise ValueError("this fit keeps no posterior to sample; fits of photographs do.")
+        raise ValueError(
+            "this fit keeps no posterior to sample; those of photographs and of a cast's "
+            "constituents (without a and c) do."
+        )
     if sampler.draws < 32:
         raise ValueError(f"draws is {sampler.draws}; at least 32 are needed.")
     key = jax.random.key(0) if key is None else key

@@ -1,6 +1,7 @@
 """Kd that changes smoothly with depth, beside the layers that would do as well."""
 
 import dataclasses
+import json
 
 import numpy as np
 
@@ -37,6 +38,29 @@ class SmoothKd:
     evidence: float
     bend: np.ndarray
     interfaces: np.ndarray
+
+    def content(self) -> tuple[dict, dict, dict]:
+        """Variables, coordinates and attributes of a CF file."""
+        low, high = self.Kd.interval()
+        notes = {"units": self.Kd.unit, "long_name": self.Kd.long_name}
+        axes = ("depth", "wavelength")
+        data: dict = {"Kd": (axes, self.Kd.value, notes)}
+        for name, words, value in (("Kd_low", "2.5 %", low), ("Kd_high", "97.5 %", high)):
+            data[name] = (axes, value, notes | {"long_name": f"{self.Kd.long_name}, {words}"})
+        text = "standard deviation of the second difference of ln Kd between depths"
+        data["bend"] = (("wavelength",), self.bend, {"units": "1", "long_name": text})
+        wave = {"units": "nm", "standard_name": "radiation_wavelength"}
+        deep = {"units": "m", "standard_name": "depth", "positive": "down", "axis": "Z"}
+        coords = {
+            "depth": ("depth", self.depth, deep),
+            "wavelength": ("wavelength", self.wavelength, wave),
+        }
+        attributes = {
+            "title": "Kd that changes smoothly with depth by oceaninv",
+            "evidence_against_layers": self.evidence,
+            "interfaces_of_layers_m": json.dumps(self.interfaces.tolist()),
+        }
+        return data, coords, attributes
 
 
 def smooth_kd(profile: Profile, depth_range: tuple[float, float] | None = None) -> SmoothKd:

@@ -2,8 +2,9 @@
 
 import numpy as np
 import pytest
+import xarray as xr
 
-from fitting import Profile, smooth_kd
+from fitting import Profile, cli, smooth_kd
 from fitting.smooth import _paths
 
 DEPTH = np.linspace(0.3, 45.0, 120)
@@ -56,6 +57,23 @@ def test_a_smooth_kd_is_covered():
     assert 0.92 < np.mean(inside) <= 1.0
     assert 0.6 < np.sqrt(np.mean(np.square(error)) / np.mean(np.square(sd))) < 1.1
     assert np.median(sd) < 0.08
+
+
+def test_the_command_writes_a_smooth_kd(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    seen = np.exp(-0.1 * DEPTH)[:, None] * np.array([1.0, 2.0])
+    seen *= 1 + 0.05 * np.random.default_rng(0).standard_normal(seen.shape)
+    rows = [f"{z:.9g},{a:.9g},{b:.9g}" for z, (a, b) in zip(DEPTH, seen, strict=True)]
+    head = ["# Ed in W m-2 nm-1", "depth_m,Ed_490,Ed_555"]
+    (tmp_path / "cast.csv").write_text("\n".join([*head, *rows]) + "\n")
+    assert cli.run(["fit-profile", "cast.csv", "--kd-only", "--smooth"]) == 0
+    assert "times as likely as 1 layer(s)" in capsys.readouterr().out
+    with xr.open_dataset(tmp_path / "cast.nc", group="smooth") as data:
+        assert data.Kd.dims == ("depth", "wavelength")
+        assert bool(np.all((data.Kd_low < 0.1) & (data.Kd_high > 0.1)))
+        assert data.attrs["evidence_against_layers"] < 0
+    assert cli.run(["fit-profile", "cast.csv", "cast.csv", "--smooth"]) == 3
+    assert "--sample and --smooth are for one cast" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(("kd", "interfaces", "least"), [(step, 1, 10.0), (even, 0, 3.0)])

@@ -37,7 +37,11 @@ def fit_profile_command(
     high: Annotated[float | None, typer.Option("--to", help="Deepest depth, m.")] = None,
     solar_zenith: SolarZenith = None,
     layers: Annotated[
-        str, typer.Option(help="Layers of constant Kd: a number, or auto to let the data choose.")
+        str,
+        typer.Option(
+            help="Layers of constant Kd: a number, or auto to let the data choose; with "
+            "--constituents, of these too (plane-parallel)."
+        ),
     ] = "1",
     kd_only: Annotated[
         bool | None,
@@ -83,6 +87,14 @@ def fit_profile_command(
     cluster: Annotated[
         str | None, typer.Option(help="Address of a dask scheduler, for archives.")
     ] = None,
+    smooth: Annotated[
+        bool,
+        typer.Option("--smooth", help="Also Kd(z) without layers: group smooth of STEM.nc."),
+    ] = False,
+    sample: Annotated[
+        bool,
+        typer.Option(help="Draw constituents from the posterior (NUTS; minutes, needs blackjax)."),
+    ] = False,
 ) -> None:
     """Fit Kd of every band and the constituents of the water to depth profiles of Ed.
 
@@ -98,7 +110,14 @@ def fit_profile_command(
     if transport is not None and tolerance is not None:
         raise ValueError("--tolerance chooses the transport: leave out it or --transport.")
     count, priors = _layers(layers), _known(know or [])
-    model = {"transport": _transport(transport)} if tolerance is None else {"tolerance": tolerance}
+    model: dict = {"tolerance": tolerance}
+    if tolerance is None:
+        # Layers asked for together with constituents are layers of these.
+        layered = kd_only is False and count != 1
+        model = {"transport": _transport(transport or ("plane-parallel" if layered else None))}
+        model |= {"layers": count} if layered else {}
+    if sample and kd_only:
+        raise ValueError("--sample draws constituents: leave out it or --kd-only.")
     depth_range = None
     if low is not None or high is not None:
         depth_range = (low or 0.0, 1e5 if high is None else high)
@@ -111,12 +130,14 @@ def fit_profile_command(
                 from fitting.stations import merged
 
                 profile = merged(profiles)
-            plain = bool(kd_only)
             stem = output or Path(paths[0].stem)
-            _fit_one(profile, stem, depth_range, count, plain, model, priors, table)
+            work = None if kd_only else model
+            _fit_one(profile, stem, depth_range, count, work, priors, table, smooth, sample)
             return
     if table is not None:
         raise ValueError("--table is for one cast; archives are written as netCDF.")
+    if sample or smooth:
+        raise ValueError("--sample and --smooth are for one cast.")
     from fitting.archive import Task
 
     if tolerance is not None and kd_only is False:
@@ -128,8 +149,9 @@ def fit_profile_command(
     _fit_many(paths, task, cluster)
 
 
-def _fit_one(profile, stem, depth_range, layers, kd_only, model, priors, table) -> None:
+def _fit_one(profile, stem, depth_range, layers, model, priors, table, smooth, sample) -> None:
     from fitting import fit_profile
+    from fitting import sample as draw
     from fitting.report import picture, save
 
     if depth_range is not None and depth_range[1] > profile.depth.max():
@@ -138,19 +160,31 @@ def _fit_one(profile, stem, depth_range, layers, kd_only, model, priors, table) 
     with status("fitting Kd"):
         fit = fit_profile(profile, depth_range=depth_range, layers=layers)
     constituents = None
-    if not kd_only:
+    if model is not None:
         with status("fitting constituents (the first run compiles)"):
             constituents = fit_profile(profile, depth_range=depth_range, priors=priors, **model)
+    found = None
+    if smooth:
+        from fitting import smooth_kd
+
+        with status("fitting a smooth Kd(z)"):
+            found = smooth_kd(profile, depth_range)
+    if constituents is not None and sample:
+        with status("sampling the posterior (minutes)"):
+            constituents = draw(constituents)
     _print_kd(fit)
     if constituents is not None:
         print_water(constituents)
+    if found is not None:
+        layers = len(found.interfaces) + 1
+        print(f"smooth Kd(z): e^{found.evidence:+.1f} times as likely as {layers} layer(s)")
     if table is not None:
         from fitting.spectra_file import write_spectra
 
         write_spectra(table, fit, constituents)
     finish(
         stem,
-        lambda p: save(p, fit, constituents),
+        lambda p: save(p, fit, constituents, found),
         lambda p: picture(fit, p, constituents),
     )
 
@@ -208,7 +242,9 @@ def _known(texts: list[str]) -> dict:
     for text in texts:
         name, _, rest = text.partition("=")
         value, _, spread = rest.partition("+-")
-        if name not in known:
+        # Of one layer: cdom_2.
+        kind = name[:-2] if name[-2:-1] == "_" and name[-1].isdigit() else name
+        if kind not in known:
             from oceaninv.tables import unknown
 
             raise unknown("constituent", name, sorted(known))
@@ -221,7 +257,7 @@ def _known(texts: list[str]) -> dict:
                 f"--know is {text!r}; write name=value+-spread, both positive, as cdom=0.12+-0.01."
             ) from None
         # The coordinate is a logarithm: its spread is the relative one.
-        priors[name] = Parameter(name, centre, sd / centre, unit=known[name].unit)
+        priors[name] = Parameter(name, centre, sd / centre, unit=known[kind].unit)
     return priors
 
 

@@ -1,6 +1,6 @@
 """1,000 casts of 7 bands and 100 depths: one call against a loop of scipy's curve_fit.
 
-    python -m tests.benchmarks.bench_profiles [kd | waters | memory COUNT]
+    python -m tests.benchmarks.bench_profiles [kd | waters | memory COUNT | cluster]
 
 Processor time of both, in the same run, errors given; the first call, which compiles, apart.
 
@@ -8,12 +8,18 @@ Processor time of both, in the same run, errors given; the first call, which com
 - `waters`: constituents and nuisances, 13 unknowns and 7 free Ed(0-), 128 casts, the loop over 4 of
   them.  curve_fit gets the same unknowns, priors (as further data) and model, compiled by JAX for
   all depths and bands, and differences it itself, as users have it.
+- `cluster`: an archive of 512 files of a cast each, Kd alone, in this process and through a dask
+  cluster of one worker process on this machine, both after a run that compiles; what scheduler,
+  client and worker spend together.
 - `memory`: peak resident memory of so many casts, Kd alone, that come one by one.
 """
 
 import resource
 import sys
+import tempfile
 import time
+from pathlib import Path
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -23,6 +29,7 @@ from scipy.optimize import curve_fit
 import oceaninv as oi
 from fitting import Profile, fit_profiles, stream_profiles
 from fitting._waters import curve
+from fitting.archive import Task, fit_archive
 from fitting.parameters import Parameters, water_unknowns
 
 CASTS, BANDS, DEPTHS = 1000, 7, 100
@@ -102,6 +109,40 @@ def waters(count: int = 128, loop: int = 4):
     print(f"{1e3 * theirs:.0f} ms; ratio {theirs / mine:.0f}; {max(apart):.1e} sd apart at most")
 
 
+def cluster(count: int = 512):
+    """Print what a cluster costs a cast."""
+    from dask.distributed import Client, LocalCluster
+
+    depth, rng = np.linspace(0.2, 20.0, DEPTHS), np.random.default_rng(0)
+    head = "Ed in W m-2 nm-1\ndepth_m," + ",".join(f"Ed_{400 + 10 * b}" for b in range(BANDS))
+    with tempfile.TemporaryDirectory() as folder:
+        root, paths = Path(folder), []
+        for i, kd in enumerate(np.exp(rng.uniform(np.log(0.04), np.log(0.4), (count, BANDS)))):
+            seen = np.exp(-kd * depth[:, None]) * (1 + 0.05 * rng.standard_normal((DEPTHS, BANDS)))
+            paths.append(root / f"cast_{i}.csv")
+            with paths[-1].open("w") as file:
+                file.write(f"# {head}\n")
+                np.savetxt(file, np.column_stack([depth, seen]), delimiter=",")
+        machine: Any = LocalCluster(n_workers=1, threads_per_worker=1, dashboard_address=":0")
+        with machine:
+            scheduler = machine.scheduler_address
+            client: Any = Client(scheduler)
+
+            def spent() -> float:
+                return time.process_time() + sum(client.run(time.process_time).values())
+
+            times = {}
+            for name, address in (("here", None), ("cluster", scheduler)):
+                for run in ("first", "again"):
+                    start = spent()
+                    outcomes = fit_archive(paths, Task(root / f"{name}_{run}"), address)
+                    done = sum(one.casts for one in outcomes)
+                    times[name] = 1e3 * (spent() - start) / done
+            client.close()
+    print(", ".join(f"{name} {ms:.1f} ms a cast" for name, ms in times.items()), end="; ")
+    print(f"overhead {times['cluster'] - times['here']:+.1f} ms")
+
+
 def memory(count: int):
     """Print the peak of `count` casts."""
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
@@ -116,9 +157,11 @@ def memory(count: int):
     start, done = time.process_time(), 0
     for table in stream_profiles(stream()):
         done += int(table.sizes["cast"])
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    print(f"{done} casts: peak {peak / 2**20:.2f} GiB (before {before / 2**20:.2f}), ", end="")
-    print(f"{1e3 * (time.process_time() - start) / count:.2f} ms a cast")
+        if done % 16384 == 0 or done == count:
+            peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+            each = 1e3 * (time.process_time() - start) / done
+            print(f"{done} casts: peak {peak / 2**20:.2f} GiB ", end="")
+            print(f"(before {before / 2**20:.2f}), {each:.2f} ms a cast", flush=True)
 
 
 def main():
@@ -127,6 +170,8 @@ def main():
     asked = sys.argv[1:] or ["kd"]
     if asked[0] == "waters":
         waters()
+    elif asked[0] == "cluster":
+        cluster()
     elif asked[0] == "memory":
         memory(int(asked[1]))
     else:
