@@ -168,7 +168,12 @@ def picture(fit: Fit, path: str | Path, constituents: Fit | None = None) -> None
     from matplotlib.figure import Figure
 
     reflectance = "Rrs" in fit.quantities or "R" in fit.quantities
-    figure = Figure(figsize=(16.0 if reflectance else 12.5, 4.6))
+    numbers = sum(not p.nuisance for p in (constituents or fit).parameters)
+    numbers += (
+        sum(q.value.ndim == 0 for q in constituents.quantities.values()) if constituents else 0
+    )
+    height = max(4.6, 0.38 * numbers if constituents is not None else 0.0)
+    figure = Figure(figsize=(16.0 if reflectance else 12.5, height))
     FigureCanvasAgg(figure)
     # Fixed margins: a computed layout would draw everything twice.
     margins = {"left": 0.06, "right": 0.985, "bottom": 0.12, "top": 0.87, "wspace": 0.25}
