@@ -185,7 +185,8 @@ def fit_profiles(
 
     `transport`: fits the constituents of each cast as well (`ProfileFits.water`), through a model
     of the light such as `oceaninv.TwoStream()`, from Ed and, where Eu was measured, R, as those of
-    one water whatever `layers` is; outliers of the fit of Kd are left out.  `priors` as for `fit_profile`, for all casts.
+    one water whatever `layers` is; outliers of the fit of Kd are left out.  `priors` as for
+    `fit_profile`, for all casts.
     """
     if priors and transport is None:
         raise ValueError("priors apply to a fit through a transport; Kd alone has none.")
