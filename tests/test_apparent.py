@@ -3,6 +3,7 @@
 import json
 from pathlib import Path
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -68,6 +69,39 @@ def test_every_attenuation_is_its_definition():
     np.testing.assert_allclose(total, fluxes.E0[1], rtol=1e-12)
     middle = apparent.kd_between(given, z - h, z + h, TRANSPORT)
     np.testing.assert_allclose(middle, found.Kd[0], rtol=1e-6)
+
+
+def test_derivatives_of_every_attenuation():
+    """In the lower layer's absorption and scattering, forward, against differences."""
+
+    def found(p):
+        lower = oi.IOPs([450.0, 550.0], p[0] * WATER.a, p[1] * WATER.b, HenyeyGreenstein(0.8))
+        given = eqx.tree_at(
+            lambda s: s.water,
+            scene(floor=oi.Floor(5.0, jnp.full(2, 0.1))),
+            oi.Layers(jnp.asarray([2.0]), (WATER, lower)),
+        )
+        here = apparent.apparent(given, 3.0, oi.PlaneParallel(4))
+        return jnp.concatenate([here.Kd, here.Ku, here.K0])
+
+    value, one, h = jax.jit(found), jnp.ones(2), 1e-3
+    exact = jax.jit(jax.jacfwd(found))(one)
+    for i, unit in enumerate(np.eye(2)):
+        terms = [value(one + k * h * unit) for k in (-2, -1, 1, 2)]
+        numeric = (terms[0] - 8 * terms[1] + 8 * terms[2] - terms[3]) / (12 * h)
+        np.testing.assert_allclose(exact[..., i], numeric, rtol=1e-7, atol=1e-9)
+
+
+def test_second_derivatives_in_the_water_are_refused():
+    """They would lack how the modes change."""
+
+    def light(a):
+        water = oi.IOPs([450.0, 550.0], a, WATER.b, HenyeyGreenstein(0.8))
+        given = eqx.tree_at(lambda s: s.water, scene(), water)
+        return oi.PlaneParallel(4).fluxes(given, jnp.asarray([3.0])).Ed[0, 0]
+
+    with pytest.raises(NotImplementedError, match="first derivatives in the water"):
+        jax.hessian(light)(WATER.a)
 
 
 def test_mean_attenuation_to_a_light_level():

@@ -34,7 +34,9 @@ def field(p, shares, parts=1):
         jnp.tile(thickness[None] / parts, parts),
     )
     column = _column.solve(water, sources, basis)
-    down, up, depth = jax.vmap(lambda z: _column.at_depth(column, z))(shares * thickness)
+    down, up, depth = jax.vmap(lambda z: _column.within(*_column.locate(column, z)))(
+        shares * thickness
+    )
     flux = 2 * np.pi * basis.flux
     beam = jnp.exp(-depth / cosine)
     scalar = (down + up) @ (flux / basis.mu) + beam

@@ -172,6 +172,18 @@ def test_generations():
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("floor", [False, True])
+def test_slopes_with_depth(floor):
+    """Those of the transfer equation are the derivatives with depth, in every layer."""
+    given, z = natural(floor, layers=True), jnp.asarray([0.0, 1.0, 5.0, 8.0])
+    transport = oi.PlaneParallel(6)
+    _, found = transport.fluxes_and_slopes(given, z)
+    _, exact = jax.jvp(lambda z: transport.fluxes(given, z), (z,), (jnp.ones_like(z),))
+    for name in ("Ed", "Eu", "E0d", "E0u"):
+        np.testing.assert_allclose(getattr(found, name), getattr(exact, name), rtol=1e-6)
+
+
+@pytest.mark.slow
 def test_gradient_against_differences():
     """With respect to the quantum yield, absorption, scattering and the floor, either way."""
     given, z = natural(), jnp.asarray([1.0, 8.0])
@@ -192,16 +204,16 @@ def test_gradient_against_differences():
                 given.floor.reflectance * p[3],
             ),
         )
-        found = oi.PlaneParallel(6).fluxes(s, z)
-        return jnp.stack([found.Eu[:, -1], found.E0[:, -1]])
+        found, slopes = oi.PlaneParallel(6).fluxes_and_slopes(s, z)
+        return jnp.stack([found.Eu[:, -1], found.E0[:, -1], slopes.Eu[:, -1]])
 
     one = jnp.ones(4)
-    exact = np.asarray(jax.jit(jax.jacfwd(f))(one))
-    np.testing.assert_allclose(jax.jit(jax.jacrev(f))(one), exact, rtol=1e-7, atol=1e-14)
     # Rounding moves what the ill-conditioned fit of the source gives by some 1e-11: the steps are
     # long enough to drown it, and errors count against the light itself.
     value, step = jax.jit(f), 1e-2
-    worst = 1e-6 * np.abs(np.asarray(value(one))).max()
+    light = np.abs(np.asarray(value(one))).max()
+    exact, worst = np.asarray(jax.jit(jax.jacfwd(f))(one)), 1e-6 * light
+    np.testing.assert_allclose(jax.jit(jax.jacrev(f))(one), exact, rtol=1e-7, atol=1e-8 * light)
     for i in range(4):
         terms = [np.asarray(value(one + k * step * np.eye(4)[i])) for k in (-2, -1, 1, 2)]
         numeric = (terms[0] - 8 * terms[1] + 8 * terms[2] - terms[3]) / (12 * step)

@@ -137,7 +137,7 @@ def _effects(stack, sent, light, endless):
         ends = modes.inverse @ jnp.stack([sent.down, sent.up], axis=1)
         below, above = padded(ends[:, :1]), padded(ends[:, 1:])
         vectors = [into_odd, into_even, into_even, below, above, both, both, both]
-        functions = mf.sunlit
+        functions = mf.sunlit_thin
     parameters = (layer.depth, beam.nu)
     every = mf.apply_functions(functions, modes.k2, modes.matrix, parameters, jnp.stack(vectors))
     odd, even = modes.factor @ every[0], modes.inverse.T @ (modes.matrix @ every[1])

@@ -91,10 +91,18 @@ def locate(column: Column, z: Float[Array, ""], *more) -> tuple:
     return here, jnp.where(beyond, 1.0, share), *others
 
 
-def at_depth(
-    column: Column, z: Float[Array, ""]
+def within(
+    here: Column, share: Float[Array, ""]
 ) -> tuple[Float[Array, "n"], Float[Array, "n"], Float[Array, ""]]:
-    """Diffuse light (down, up) in y at depth z (m), and the optical depth of z."""
-    here, share = locate(column, z)
+    """Diffuse light (down, up) in y at a share of one layer, and the optical depth of it."""
     down, up = do.inside(share, here.layer, here.modes, here.beam, here.field)
     return down, up, here.start + share * here.layer.depth
+
+
+def slope_at(
+    here: Column, share: Float[Array, ""], down: Float[Array, "n"], up: Float[Array, "n"]
+) -> tuple[Float[Array, "n"], Float[Array, "n"]]:
+    """d(down, up)/dz (1/m) of a layer's diffuse light, by the transfer equation itself."""
+    beam = here.beam
+    left = jnp.exp(-beam.nu * share * here.layer.depth)
+    return do.slope(here.layer, here.modes, down, up, left * beam.even, left * beam.odd)

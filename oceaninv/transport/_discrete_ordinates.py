@@ -201,7 +201,7 @@ def _inverse_jvp(positive, primals, tangents):
 
 
 class Operators(NamedTuple):
-    """What `slab` makes of a layer on the way, each (n, n)."""
+    """What a layer does to light, and what is made on the way, each (n, n)."""
 
     k1: Array
     k2: Array
@@ -232,25 +232,6 @@ def operators(modes: Modes, apply: Callable, endless: bool) -> Operators:
     inner = factor @ right[2]
     transmit = k1 @ inner @ k2
     return Operators(k1, k2, k1 @ (z - y) @ k2, inner, transmit, k3, inverse.T @ right[4])
-
-
-def slab(layer: Layer, modes: Modes, beam: Beam | None, endless: bool) -> Slab:
-    """Reflection, transmission and sources of a layer."""
-
-    def apply(functions, vectors, *more):
-        parameters = (layer.depth, *more)
-        return mf.apply_functions(functions, modes.k2, modes.matrix, parameters, vectors)
-
-    functions = mf.endless if endless else mf.through
-    own = operators(modes, lambda matrices: apply(functions, matrices), endless)
-    if beam is None:
-        nothing = jnp.zeros_like(modes.k2)
-        return Slab(own.reflect, own.transmit, nothing, nothing)
-    both = jnp.stack([beam.even, beam.odd], axis=1)
-    vectors = jnp.stack([both] * (2 if endless else 3))
-    response = apply(mf.forced_endless if endless else mf.forced, vectors, beam.nu)
-    sent = leaving(layer, modes, beam, own, response)
-    return Slab(own.reflect, own.transmit, sent.up, sent.down)
 
 
 class Sent(NamedTuple):
@@ -326,12 +307,11 @@ def inside(
     )
     line = jnp.where(t < 1, jnp.stack([1 - share, share]), 0.0)
     if beam is None:
-        total = combine(mf.inside, ends, share)
+        total = combine(mf.inside_apart, ends, share)
     else:
         source = forcing(modes, beam)
         everything = jnp.concatenate([ends, source[None]])
-        total = combine(mf.forced_inside, everything, share, beam.nu)
-    total = total - (line[0] * ends[0] + line[1] * ends[1])
+        total = combine(mf.forced_inside_apart, everything, share, beam.nu)
     sum_, difference = modes.factor @ total[:, 0], modes.inverse.T @ total[:, 1]
     down = (sum_ + difference) / 2 + line[0] * field.top_down + line[1] * field.bottom_down
     up = (sum_ - difference) / 2 + line[0] * field.top_up + line[1] * field.bottom_up
@@ -342,3 +322,17 @@ def forcing(modes: Modes, beam: Beam) -> Float[Array, "n 2"]:
     """Coefficients of W in u and v, at the top of the layer."""
     lifted = modes.matrix @ beam.odd + beam.nu * beam.even
     return jnp.stack([beam.even + beam.nu * beam.odd, lifted], axis=1)
+
+
+def slope(
+    layer: Layer, modes: Modes, down: Float[Array, "n"], up: Float[Array, "n"], even, odd
+) -> tuple[Float[Array, "n"], Float[Array, "n"]]:
+    """d(down, up)/dz (1/m) where light and its source (even, odd; as in `Beam`) are known.
+
+    S_o = L V (L V)' and S_e = (V' L^-1)' B (V' L^-1): the transfer equation, of which no function
+    of B is differentiated.
+    """
+    dsum = modes.factor @ (odd - modes.factor.T @ (down - up))
+    ddifference = modes.inverse.T @ (even - modes.matrix @ (modes.inverse @ (down + up)))
+    half = layer.extinction / 2
+    return half * (dsum + ddifference), half * (dsum - ddifference)

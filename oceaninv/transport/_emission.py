@@ -144,35 +144,41 @@ def solve(
     layers: do.Layer, modes: do.Modes, glows: Glow, basis: Basis, sources: _column.Sources
 ) -> Column:
     """The field of what all layers (leading axis) emit, between the same floor and surface."""
-    endless = sources.floor is None
-    stack = (layers, modes, glows)
-    several = layers.depth.shape[0] > 1
-    upper = jax.tree.map(lambda leaf: leaf[:-1], stack)
-    lowest = jax.tree.map(lambda leaf: leaf[-1], stack)
-    slabs = jax.vmap(_closed)(*upper) if several else None
+    endless = sources.floor is None and layers.depth.shape[0] == 1
+
+    def respond(layer, modes, glow):
+        def apply(functions, vectors, *more):
+            parameters = (layer.depth, *more)
+            return mf.apply_functions(functions, modes.k2, modes.matrix, parameters, vectors)
+
+        own = do.operators(
+            modes, lambda m: apply(mf.endless if endless else mf.through, m), endless
+        )
+
+        def leaving(beam):
+            both = jnp.stack([beam.even, beam.odd], axis=1)
+            vectors = jnp.stack([both] * (2 if endless else 3))
+            response = apply(mf.forced_endless if endless else mf.forced, vectors, beam.nu)
+            sent = do.leaving(layer, modes, beam, own, response)
+            return sent.up, sent.down
+
+        up, down = (jnp.sum(v, axis=0) for v in jax.vmap(leaving)(glow.down))
+        if not endless:
+            mirrored = (jnp.sum(v, axis=0) for v in jax.vmap(leaving)(glow.up))
+            up, down = (v + w for v, w in zip((up, down), reversed(tuple(mirrored)), strict=True))
+        return do.Slab(own.reflect, own.transmit, up, down)
+
+    # All layers at once, as in `_boundaries.solve`.
+    slabs = jax.vmap(respond)(layers, modes, glows)
+    upper = None
+    if layers.depth.shape[0] > 1:
+        upper = jax.tree.map(lambda leaf: leaf[:-1], slabs)
+    lowest = jax.tree.map(lambda leaf: leaf[-1], slabs)
     floor = None
     if sources.floor is not None:
         share = jnp.where(basis.order == 0, sources.floor, jnp.zeros_like(sources.floor))
         floor = do.Wall(2 * share, basis.flux, 0 * basis.flux)
-    bottom = _slab(lowest[0], lowest[1], lowest[2], endless)
-    return Column(glows, _adding.add_layers(slabs, bottom, floor, sources.surface, None))
-
-
-def _closed(layer: do.Layer, modes: do.Modes, glow: Glow) -> do.Slab:
-    return _slab(layer, modes, glow, False)
-
-
-def _slab(layer: do.Layer, modes: do.Modes, glow: Glow, endless: bool) -> do.Slab:
-    def leaving(beam):
-        slab = do.slab(layer, modes, beam, endless)
-        return slab.up, slab.down
-
-    up, down = (jnp.sum(v, axis=0) for v in jax.vmap(leaving)(glow.down))
-    bare = do.slab(layer, modes, None, endless)
-    if not endless:
-        mirrored = jax.vmap(leaving)(glow.up)
-        up, down = up + jnp.sum(mirrored[1], axis=0), down + jnp.sum(mirrored[0], axis=0)
-    return bare._replace(up=up, down=down)
+    return Column(glows, _adding.add_layers(upper, lowest, floor, sources.surface, None))
 
 
 def inside(
@@ -201,12 +207,18 @@ def _seen(k, t, rate, nu, along):
     return jax.vmap(lambda nu: mf.forced_seen(k, t, rate, nu, along)[2])(nu)
 
 
-def at_depth(
-    column: _column.Column, emitted: Column, z: Float[Array, ""]
+def slope_at(
+    here: _column.Column, glow: Glow, share: Float[Array, ""], down, up
 ) -> tuple[Float[Array, "n"], Float[Array, "n"]]:
-    """Emitted light (down, up) in y at depth z (m)."""
-    here, share, light = _column.locate(column, z, emitted)
-    return inside(share, here.layer, here.modes, light.glow, light.field)
+    """d(down, up)/dz (1/m) of a layer's emitted light; see `_column.slope_at`."""
+
+    def total(beams, share):
+        left = jnp.exp(-beams.nu * share * here.layer.depth)
+        return left @ beams.even, left @ beams.odd
+
+    falling, rising = total(glow.down, share), total(glow.up, 1 - share)
+    even, odd = falling[0] + rising[0], falling[1] - rising[1]
+    return do.slope(here.layer, here.modes, down, up, even, odd)
 
 
 def along(

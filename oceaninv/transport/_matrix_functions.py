@@ -101,6 +101,13 @@ def sunlit_endless(k, t, nu):
     return jnp.concatenate([every[:2], every[5:7]])
 
 
+def sunlit_thin(k, t, nu):
+    """`sunlit`, but for 1/cosh(k h)^2 - 1 in a thin layer: of a change of f(B) = L f L^-1 a
+    constant has no part, but its rounding would drown what a thin layer changes."""
+    every = sunlit(k, t, nu)
+    return every.at[2].set(jnp.where(t < 1, -((k * every[0]) ** 2), every[2]))
+
+
 def inside(k, t, share):
     """sinh(k(t - s))/sinh(k t) and sinh(k s)/sinh(k t) at s = share t."""
     s, rest = k * t * share, k * t * (1 - share)
@@ -108,6 +115,25 @@ def inside(k, t, share):
     upper, lower, whole = mean_decay(2 * jnp.stack([rest, s, k * t]))
     shares = jnp.stack([1 - share, share])
     return decay * shares[:, None] * jnp.stack([upper, lower]) / whole[None]
+
+
+def inside_apart(k, t, share):
+    """`inside`; in a thin layer (t < 1) only how far they are from the straight line."""
+    shares = jnp.stack([1 - share, share])[:, None]
+    thin, y = t < 1, k[None] * t
+    low = thin & (y < 1)
+    square = jnp.where(low, y, 0.0) ** 2
+
+    def excess(square):
+        """(sinh(x)/x - 1)/x^2."""
+        total = jnp.zeros_like(square)
+        for n in range(19, 1, -2):
+            total = total * square + 1 / math.factorial(n)
+        return total
+
+    more = excess(jnp.concatenate([shares**2 * square, square]))
+    apart = shares * square * (shares**2 * more[:2] - more[2:]) / (1 + square * more[2:])
+    return jnp.where(low, apart, inside(k, t, share) - jnp.where(thin, shares, 0.0))
 
 
 def forced_inside(k, t, share, nu):
@@ -119,6 +145,11 @@ def forced_inside(k, t, share, nu):
         jnp.exp(-nearer * lengths[:, None]) * mean_decay(apart * lengths[:, None])
     )
     return jnp.concatenate([ends, ((far - ends[1] * image) / (k + nu))[None]])
+
+
+def forced_inside_apart(k, t, share, nu):
+    """`forced_inside` with `inside_apart`."""
+    return jnp.concatenate([inside_apart(k, t, share), forced_inside(k, t, share, nu)[2:]])
 
 
 def seen(k, t, rate):
@@ -278,8 +309,9 @@ def expand(functions: Callable, x, parameters: tuple, moving: list[int]):
 
 def _derivatives(functions, primals, tangents):
     """Values, their change with the parameters and their slope in x; None: no change."""
-    x, _, parameters, _ = primals
+    x, matrix, parameters, _ = primals
     _, dmatrix, dparameters, _ = tangents
+    x = still(x, matrix)
     moving = [i for i, d in enumerate(dparameters) if not is_zero(d)]
     if not moving and is_zero(dmatrix):
         return functions(root(x), *parameters), None, None
@@ -291,6 +323,24 @@ def _derivatives(functions, primals, tangents):
         part = part * (moved[:, None] if moved.ndim else moved)
         changed = part if changed is None else changed + part
     return values, changed, None if is_zero(dmatrix) else slope
+
+
+@jax.custom_jvp
+def still(x, matrix):
+    """x inside a derivative, which must not be differentiated again where `matrix` moves."""
+    return x
+
+
+def _still_jvp(primals, tangents):
+    if not is_zero(tangents[1]):
+        raise NotImplementedError(
+            "PlaneParallel has first derivatives in the water, not second ones (functions of the "
+            "modes are differentiated once); take differences of its first derivatives instead."
+        )
+    return primals[0], jnp.zeros_like(primals[0])
+
+
+still.defjvp(_still_jvp, symbolic_zeros=True)
 
 
 def root(x):

@@ -40,16 +40,9 @@ class Apparent(eqx.Module):
 
 def apparent(scene: Scene, depths, transport: PlaneParallel | None = None) -> Apparent:
     """Attenuation, reflectance and mean cosines at depths (m), from the exact derivative of the
-    fluxes with depth.
-
-    Values only: derivatives of `Kd`, `Ku` and `K0` in the water are not right (a second derivative
-    of the light, which leaves out how its modes change).  Differentiate `kd_between` instead.
-    """
+    fluxes with depth."""
     depths = _depths(scene, depths)
-    transport = _default(transport)
-    fluxes, slopes = jax.jvp(
-        lambda z: transport.fluxes(scene, z), (depths,), (jnp.ones_like(depths),)
-    )
+    fluxes, slopes = _default(transport).fluxes_and_slopes(scene, depths)
     return Apparent(
         -slopes.Ed / fluxes.Ed,
         -slopes.Eu / fluxes.Eu,
@@ -92,14 +85,16 @@ def _to_light(scene: Scene, share: float, transport: PlaneParallel):
         deepest = scene.floor.depth.astype(dtype)
 
     def logarithm(z):
-        """ln of Ed at z, each wavelength's own, over Ed at the surface."""
-        light = transport.fluxes(scene, jnp.concatenate([jnp.zeros_like(z[:1]), z])).Ed
-        return jnp.log(jnp.diagonal(light[1:]) / light[0])
+        """ln of Ed at z, each wavelength's own, over Ed at the surface, and its slope."""
+        depths = jnp.concatenate([jnp.zeros_like(z[:1]), z])
+        fluxes, slopes = transport.fluxes_and_slopes(scene, depths)
+        light = jnp.diagonal(fluxes.Ed[1:])
+        return jnp.log(light / fluxes.Ed[0]), jnp.diagonal(slopes.Ed[1:]) / light
 
     def newton(_, state):
         # ln Ed is nearly straight in z.
         z, _ = state
-        value, slope = jax.jvp(logarithm, (z,), (jnp.ones_like(z),))
+        value, slope = logarithm(z)
         miss = np.log(share) - value
         return jnp.clip(z + miss / slope, 0.0, deepest), miss
 

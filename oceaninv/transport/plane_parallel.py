@@ -134,7 +134,10 @@ def _first(tree):
 
 
 @eqx.filter_jit
-def _fluxes(scene: Scene, depths: Float[Array, " depth"], streams: int, generations: int) -> Fluxes:
+def _fluxes(
+    scene: Scene, depths: Float[Array, " depth"], streams: int, generations: int, slopes: bool
+) -> tuple[Fluxes, ...]:
+    """The fluxes and, if `slopes` are asked for, their derivatives with depth."""
     columns, bases, sources = _solve(scene, streams, 1, _flux_moments(scene, streams))
     cosine, sun = scene.beam()
     emitted = None
@@ -142,19 +145,34 @@ def _fluxes(scene: Scene, depths: Float[Array, " depth"], streams: int, generati
         emitted = _first(_generations.emission(scene, columns, bases, sources, generations))
     columns, basis = _first((columns, bases))
 
-    def at(column, emitted, sun, z):
-        down, up, depth = _column.at_depth(column, z)
-        if emitted is not None:
-            more = _emission.at_depth(column, emitted, z)
-            down, up = down + more[0], up + more[1]
-        beam = sun * jnp.exp(-depth / cosine)
+    def weighted(down, up, beam):
         flux = 2 * np.pi * basis.flux
         scalar = flux / basis.mu
-        return down @ flux + cosine * beam, up @ flux, down @ scalar + beam, up @ scalar
+        return jnp.stack(
+            [down @ flux + cosine * beam, up @ flux, down @ scalar + beam, up @ scalar]
+        )
+
+    def at(column, emitted, sun, z):
+        here, share, *light = _column.locate(column, z, *([] if emitted is None else [emitted]))
+        down, up, depth = _column.within(here, share)
+        beam = sun * jnp.exp(-depth / cosine)
+        fluxes = weighted(down, up, beam)
+        changes = []
+        if slopes:
+            dbeam = -here.layer.extinction / cosine * beam
+            changes.append(weighted(*_column.slope_at(here, share, down, up), dbeam))
+        for glow, field in light:
+            down, up = _emission.inside(share, here.layer, here.modes, glow, field)
+            fluxes = fluxes + weighted(down, up, jnp.zeros_like(sun))
+            if slopes:
+                dlight = _emission.slope_at(here, glow, share, down, up)
+                changes.append(weighted(*dlight, jnp.zeros_like(sun)))
+        return (fluxes, sum(changes)) if slopes else (fluxes,)
 
     over_wavelength = jax.vmap(at, (0, 0, 0, None))
     over_depth = jax.vmap(over_wavelength, (None, None, None, 0))
-    return Fluxes(*over_depth(columns, emitted, sun, depths))
+    found = over_depth(columns, emitted, sun, depths)
+    return tuple(Fluxes(*jnp.moveaxis(each, -1, 0)) for each in found)
 
 
 @eqx.filter_jit
@@ -370,7 +388,15 @@ class PlaneParallel(AbstractTransport):
 
     def fluxes(self, scene: Scene, depths: Float[Array, " depth"]) -> Fluxes:
         """Plane and scalar irradiances of either hemisphere at depths (m), each (depth, wl)."""
-        return _fluxes(scene, depths, self.streams, self.generations)
+        return _fluxes(scene, depths, self.streams, self.generations, False)[0]
+
+    def fluxes_and_slopes(
+        self, scene: Scene, depths: Float[Array, " depth"]
+    ) -> tuple[Fluxes, Fluxes]:
+        """`fluxes`, and their derivatives with depth (per m) by the transfer equation itself, which
+        unlike a derivative of `fluxes` with depth can be differentiated in everything else."""
+        fluxes, slopes = _fluxes(scene, depths, self.streams, self.generations, True)
+        return fluxes, slopes
 
     def irradiance(
         self, scene: Scene, depths: Float[Array, " depth"], key: Key[Array, ""] | None = None
