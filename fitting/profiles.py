@@ -88,6 +88,10 @@ class ProfileFits:
         """
         import xarray as xr
 
+        return xr.Dataset(*self.content())
+
+    def content(self) -> tuple[dict, dict, dict]:
+        """Variables, coordinates and attributes of `to_xarray`."""
         grids = [cast.job.profile.wavelength for cast in self._casts.values()]
         wavelength = np.unique(np.concatenate([*grids, np.zeros(0)]))
         code = np.full((len(self), len(wavelength)), -1, np.int8)
@@ -106,7 +110,7 @@ class ProfileFits:
         }
         failures = np.array([self.failures.get(i, "") for i in range(len(self))], dtype=str)
         spectral = {"units": "nm", "standard_name": "radiation_wavelength"}
-        return xr.Dataset(
+        return (
             {
                 **table.variables(),
                 "search": (("cast", "wavelength"), code, notes),

@@ -8,7 +8,7 @@ Processor time of both, in the same run, errors given; the first call, which com
 - `waters`: constituents and nuisances, 13 unknowns and 7 free Ed(0-), 128 casts, the loop over 4 of
   them.  curve_fit gets the same unknowns, priors (as further data) and model, compiled by JAX for
   all depths and bands, and differences it itself, as users have it.
-- `cluster`: an archive of 512 files of a cast each, Kd alone, in this process and through a dask
+- `cluster`: an archive of 256 files of a cast each, Kd alone, in this process and through a dask
   cluster of one worker process on this machine, both after a run that compiles; what scheduler,
   client and worker spend together.
 - `memory`: peak resident memory of so many casts, Kd alone, that come one by one.
@@ -109,7 +109,7 @@ def waters(count: int = 128, loop: int = 4):
     print(f"{1e3 * theirs:.0f} ms; ratio {theirs / mine:.0f}; {max(apart):.1e} sd apart at most")
 
 
-def cluster(count: int = 512):
+def cluster(count: int = 256):
     """Print what a cluster costs a cast."""
     from dask.distributed import Client, LocalCluster
 
