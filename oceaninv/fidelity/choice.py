@@ -24,11 +24,18 @@ QUANTITIES = ("irradiance", "radiance", "photograph")
 _CLOSED = (TwoStream(), FourStream())
 LADDERS: Mapping[str, tuple[AbstractTransport, ...]] = {
     "irradiance": (*_CLOSED, *(PlaneParallel(n, 1) for n in (4, 8, 16))),
-    "radiance": (*_CLOSED, *(PlaneParallel(n) for n in (6, 8, 12, 16, 20, 28))),
+    # Among dials of 4-28 streams and 3-28 orders those that err less than all that cost less.
+    "radiance": (
+        *_CLOSED,
+        *(
+            PlaneParallel(n, m)
+            for n, m in ((8, 6), (10, 10), (12, 12), (16, 12), (20, 20), (28, 28))
+        ),
+    ),
     # A camera looks about the horizon, where a few orders of azimuth do.
     "photograph": (
         *_CLOSED,
-        *(PlaneParallel(n, m) for n, m in ((6, 6), (12, 6), (20, 6), (20, 20))),
+        *(PlaneParallel(n, m) for n, m in ((8, 6), (12, 6), (16, 8), (20, 20), (28, 28))),
     ),
 }
 
