@@ -144,13 +144,15 @@ def test_dropped_terms_are_absent_from_the_program():
     assert lean < 0.8 * full
 
 
-def _asked(scene, transport):
-    """Operations of a radiance, floating numbers of the scene traced, before any compiler."""
+def _asked(scene, transport, quantity):
+    """Operations of an answer, floating numbers of the scene traced, before any compiler."""
 
     def program(numbers):
-        here = eqx.combine(numbers, rest)
+        here, key = eqx.combine(numbers, rest), jax.random.key(0)
+        if quantity == "irradiance":
+            return oi.irradiance(here, jnp.array([1.0, 2.0]), transport, key=key).Ed.value
         rays = oi.Rays(jnp.array([[0.0, 0.0, 1.0]]), jnp.array([[0.6, 0.0, 0.8]]))
-        return oi.radiance(here, rays, transport, key=jax.random.key(0)).value
+        return oi.radiance(here, rays, transport, key=key).value
 
     spec = jax.tree.map(lambda _: False, scene)
     spec = eqx.tree_at(lambda s: (s.water.a_components, s.light.direct), spec, (True, True))
@@ -158,9 +160,11 @@ def _asked(scene, transport):
     return jax.jit(program).lower(numbers).cost_analysis()["flops"]
 
 
+@pytest.mark.parametrize("quantity", ["irradiance", "radiance"])
 @pytest.mark.parametrize(
     "transport",
     [
+        oi.KdTransport(),
         oi.TwoStream(),
         pytest.param(oi.FourStream(), marks=pytest.mark.slow),
         pytest.param(oi.PlaneParallel(4, 2), marks=pytest.mark.slow),
@@ -168,26 +172,46 @@ def _asked(scene, transport):
     ],
     ids=choice.rung,
 )
-def test_a_term_that_is_not_there_costs_nothing(transport):
+def test_a_term_that_is_not_there_costs_nothing(transport, quantity):
     """What the plan leaves is the program of a scene that was written without these terms, of
     every transport; each term that is there costs something."""
     one = jnp.ones(len(WAVELENGTH))
     far, dark = oi.Floor(300.0, 0.3 * one), 0.0 * one
     glow = oi.Inelastic(raman=oi.Raman(1e-12)) if transport.inelastic else None
     full = oi.Scene(_water(), oi.Light(40.0, one, dark), oi.FlatSurface(), far, inelastic=glow)
-    planned = oi.plan(full, 0.05, "radiance", depth=2.0).scene
+    planned = oi.plan(full, 0.05, quantity, depth=2.0).scene
     assert planned.floor is None
     assert planned.inelastic is None
     written = oi.Scene(_water(), oi.Light(40.0, one), oi.FlatSurface())
-    least = _asked(written, transport)
-    assert abs(_asked(planned, transport) / least - 1) < 0.02
+    least = _asked(written, transport, quantity)
+    assert abs(_asked(planned, transport, quantity) / least - 1) < 0.02
     bare = oi.Scene(_water(), oi.Light(40.0, one))
-    assert _asked(bare, transport) < least
+    assert _asked(bare, transport, quantity) < least
     floor = oi.Scene(_water(), written.light, written.surface, far)
-    assert _asked(floor, transport) > least
+    if isinstance(transport, oi.KdTransport):
+        with pytest.raises(ValueError, match="neither floor nor sky"):
+            _asked(floor, transport, quantity)
+    else:
+        assert _asked(floor, transport, quantity) > least
     if glow is not None:
         emitting = oi.Scene(_water(), written.light, written.surface, inelastic=glow)
-        assert _asked(emitting, transport) > least
+        assert _asked(emitting, transport, quantity) > least
+
+
+def test_a_bare_scene_costs_what_its_formula_does():
+    """KdTransport without surface, floor, sky and inelastic light beside its formula by hand."""
+    one, depths = jnp.ones(len(WAVELENGTH)), jnp.array([1.0, 2.0])
+    scene = oi.Scene(_water(), oi.Light(40.0, one))
+
+    def by_hand(numbers):
+        water = oi.IOPs(WAVELENGTH, numbers[0], _water().b_components, _water().phases)
+        light = oi.Light(40.0, numbers[1])
+        kd = oi.attenuation.kd_lee2005(water.a, water.bb, light.zenith)
+        return (light.cosine * light.direct)[None, :] * jnp.exp(-kd[None, :] * depths[:, None])
+
+    numbers = (scene.water.a_components, one)
+    lean = jax.jit(by_hand).lower(numbers).cost_analysis()["flops"]
+    assert abs(_asked(scene, oi.KdTransport(), "irradiance") / lean - 1) < 0.02
 
 
 @pytest.mark.parametrize(
