@@ -52,10 +52,10 @@ def ladder(scene: oi.Scene, quantity: str) -> list[Model]:
     """Everything that may answer, from the printed closure to random walks."""
     flux = quantity == "irradiance"
     closed = [oi.KdTransport(), oi.TwoStream(), oi.FourStream()]
-    dials = ((4, 1), (8, 1), (16, 1)) if flux else ((4, 4), (8, 8), (16, 4), (16, 16))
+    dials = ((4, 1), (8, 1), (16, 1)) if flux else ((4, 4), (8, 6), (16, 8), (16, 16))
     exact = [oi.PlaneParallel(streams, orders) for streams, orders in dials]
     if scene.inelastic is not None:
-        exact.insert(2, oi.PlaneParallel(8, 1 if flux else 8, generations=2))
+        exact.insert(2, oi.PlaneParallel(8, 1 if flux else 6, generations=2))
     models = [Model(_name(t), through(t, quantity)) for t in (*closed, *exact)]
     if not flux:
         models.insert(0, Model("printed closure", _printed))
@@ -78,7 +78,7 @@ def ladder(scene: oi.Scene, quantity: str) -> list[Model]:
 def _few_bands(scene: oi.Scene, quantity: str) -> list[Model]:
     count = len(scene.wavelength)
     models = []
-    for fewer, transport in ((3, oi.TwoStream()), (6, oi.TwoStream()), (6, oi.PlaneParallel(8))):
+    for fewer, transport in ((3, oi.TwoStream()), (6, oi.TwoStream()), (6, oi.PlaneParallel(8, 6))):
         if fewer < count:
             pick = np.unique(np.linspace(0, count - 1, fewer).round().astype(int))
             name = f"{_name(transport)}, {len(pick)} bands"
@@ -99,8 +99,9 @@ def _one_layer(scene: oi.Scene, quantity: str) -> list[Model]:
 
         return first
 
-    transports = (oi.TwoStream(), oi.FourStream(), oi.PlaneParallel(8))
-    return [Model(f"{_name(t)}, upper layer alone", top(through(t, quantity))) for t in transports]
+    return [
+        Model(f"{_name(t)}, upper layer alone", top(through(t, quantity))) for t in _three(quantity)
+    ]
 
 
 def _elastic(quantity: str) -> list[Model]:
@@ -110,8 +111,13 @@ def _elastic(quantity: str) -> list[Model]:
 
         return without
 
-    transports = (oi.TwoStream(), oi.FourStream(), oi.PlaneParallel(8))
-    return [Model(f"{_name(t)}, elastic", bare(through(t, quantity))) for t in transports]
+    return [Model(f"{_name(t)}, elastic", bare(through(t, quantity))) for t in _three(quantity)]
+
+
+def _three(quantity: str) -> tuple[AbstractTransport, ...]:
+    """One of each kind."""
+    exact = oi.PlaneParallel(8, 1 if quantity == "irradiance" else 6)
+    return oi.TwoStream(), oi.FourStream(), exact
 
 
 def _name(transport: AbstractTransport) -> str:

@@ -21,7 +21,7 @@ RAYS, DEPTHS = 48, 10
 
 @dataclasses.dataclass(frozen=True)
 class Row:
-    """One model: `seconds` per run, compilation apart; `error` as `oceaninv.plan` defines it."""
+    """One model: processor `seconds` per run, compilation apart; `error` as of `oceaninv.plan`."""
 
     model: str
     seconds: float
@@ -93,7 +93,7 @@ class _Judge:
         self.depths = jnp.linspace(0.1, 1.0, DEPTHS) * deepest
 
     def run(self, model: Model, repeats: int):
-        """Value, median seconds and seconds of compilation."""
+        """Value, median processor seconds, and those of compilation."""
 
         def cast(leaf):
             floating = jnp.issubdtype(leaf.dtype, jnp.inexact)
@@ -110,9 +110,9 @@ class _Judge:
         value = program(varied, *points)
         seconds = []
         for _ in range(repeats):
-            start = time.perf_counter()
+            start = time.process_time()
             value = jax.block_until_ready(program(varied, *points))
-            seconds.append(time.perf_counter() - start)
+            seconds.append(time.process_time() - start)
         return np.asarray(value), float(np.median(seconds or [np.nan])), compiled
 
     def error(self, value: np.ndarray, truth: np.ndarray, pick=None) -> float:
@@ -150,14 +150,14 @@ def _compiled(lowered) -> tuple:
     """The program and its seconds of compilation; scenes that are alike share one."""
     text = lowered.as_text()
     if text not in _PROGRAMS:
-        start = time.perf_counter()
+        start = time.process_time()
         program = lowered.compile()
-        _PROGRAMS[text] = (program, time.perf_counter() - start)
+        _PROGRAMS[text] = (program, time.process_time() - start)
     return _PROGRAMS[text]
 
 
 def how_to_choose(trades: list[Trade], tolerances=(0.3, 0.1, 0.03, 0.01)) -> str:
-    """A table: the fastest model within each tolerance, scene by scene."""
+    """A table: the model within each tolerance that takes the least processor time, by scene."""
     head = " | ".join(f"{100 * t:g} %" for t in tolerances)
     lines = [
         f"| scene | quantity | {head} | reference's own error |",
@@ -233,7 +233,7 @@ def draw_rows(path: Path, trade: Trade) -> None:
             color="0.2" if row.best else "0.6",
         )
     axes.axhspan(0.0, max(trade.doubt, 1e-12), color="0.9", zorder=0)
-    axes.set(xscale="log", yscale="log", xlabel="seconds per run", ylabel="error")
+    axes.set(xscale="log", yscale="log", xlabel="processor seconds per run", ylabel="error")
     title = f"{trade.title}: {trade.quantity}"
     axes.set_title(f"{title} (grey band: the reference's own error)", fontsize=10)
     with whole(path) as temporary:
