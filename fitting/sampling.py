@@ -275,7 +275,11 @@ def joint_region(fit: Fit, names: tuple[str, ...], level: float = 0.95) -> Regio
             from oceaninv.tables import unknown
 
             raise unknown("positive parameter or quantity", name, sorted([*known, *scalars]))
-    draws = np.stack(columns, axis=1)
+    return region_of(names, np.stack(columns, axis=1), level)
+
+
+def region_of(names: tuple[str, ...], draws: Float[np.ndarray, "draw name"], level: float):
+    """The `Region` that holds a share of draws of logarithms."""
     centre = draws.mean(axis=0)
     precision = np.linalg.inv(np.atleast_2d(np.cov(draws.T)))
     away = draws - centre

@@ -169,6 +169,21 @@ def test_a_photograph_does_not_claim_what_it_cannot_see():
     assert flags["gain_0_G"] == (fitted().sd["gain_0_G"] <= 0.5)
 
 
+def test_readings_that_scatter_more_than_stated_widen_the_intervals():
+    values = clean() * (1 + 0.04 * np.random.default_rng(0).standard_normal((9, 3)))
+    fit = fit_photo(photo(values))
+    factor = fit.metadata["noise_factor"]
+    assert 2.5 < factor < 5.5
+    assert fit.metadata["reduced_chi2"] > 4.0
+    told = fit_photo(photo(values, sigma=0.01 * factor))
+    assert told.metadata["noise_factor"] == fitted().metadata["noise_factor"] == 1.0
+    for name in ("c_550", "Kd_490", "a_cdm_440"):
+        ours, theirs = fit.quantities[name], told.quantities[name]
+        assert abs(np.log(theirs.value / ours.value)) < 3e-3 * ours.sd
+        assert theirs.sd == pytest.approx(ours.sd, rel=3e-3)
+    assert fit.quantities["c_550"].sd > 2.0 * fitted().quantities["c_550"].sd
+
+
 def test_exposure_and_white_balance_do_not_matter():
     other = fit_photo(photo(clean() * np.array([300.0, 0.02, 5.0])))
     for name in ("c_550", "Kd_490", "a_cdm_440"):
@@ -285,10 +300,15 @@ def test_a_plan_expects_what_the_fit_of_its_readings_states():
 
 @pytest.mark.slow
 def test_a_batch_is_its_fits():
-    frames = [photo(clean()), photo(clean() * 1.02)]
+    # The second scatters more than stated: its noise is estimated, that of the first is not.
+    scatter = 0.04 * np.random.default_rng(1).standard_normal((9, 3))
+    frames = [photo(clean()), photo(clean() * (1.02 + scatter))]
     both = fit_photos(frames)
     for frame, one in zip(frames, both, strict=True):
         alone = fit_photo(frame)
+        factor = alone.metadata["noise_factor"]
+        assert one.metadata["noise_factor"] == pytest.approx(factor, rel=1e-2)
+        assert (factor > 2.0) is (frame is frames[1])
         assert np.max(np.abs(one.x - alone.x) / np.sqrt(np.diag(alone.covariance))) < 0.01
     with pytest.raises(ValueError, match="photograph 1 differs"):
         fit_photos([frames[0], Photo(frames[0].charts, depth=5.0)])

@@ -79,6 +79,9 @@ def fit_photo_command(
             fit = draw(fit)
     if clipped or photo.masked:
         print(f"left out: {clipped} clipped rows, {photo.masked} missing or non-positive values")
+    factor = fit.metadata["noise_factor"]
+    if factor > 1.0:
+        print(f"readings scatter {factor:.1f} x as much as their noise says: intervals widened")
     print_water(fit)
     stem = output or Path(path.stem)
     finish(stem, lambda p: save(p, fit), lambda p: picture(fit, p))

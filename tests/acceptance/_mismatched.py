@@ -45,6 +45,7 @@ class Water(NamedTuple):
     kd_490: float
     c_550: float
     a_cdm_440: float
+    bb_550: float
     c: np.ndarray
     Ed: np.ndarray
     path: np.ndarray
@@ -145,13 +146,14 @@ def compute(recipe, path: Path) -> Water:
     a, parts = iops(recipe, table, marks)
     c_550 = float(a[1] + sum(share for share, _ in parts)[1])
     a_cdm = float(cdom * table["a*cdom"][0] + minerals * table["a*mss"][0])
+    bb_550 = float(sum(share * ratio for share, ratio in parts)[1])
     return Water(
-        chlorophyll, minerals, cdom, sun, kd, c_550, a_cdm,
+        chlorophyll, minerals, cdom, sun, kd, c_550, a_cdm, bb_550,
         np.array(beam), np.array(Ed), np.array(veil).T, np.array(background),
     )  # fmt: skip
 
 
-_SCALARS = Water._fields[:7]
+_SCALARS = Water._fields[:8]
 
 
 def write(waters: list[Water]) -> None:
@@ -161,7 +163,8 @@ def write(waters: list[Water]) -> None:
         "# Exact photographs of twelve waters at 5 m, sun 1 at every band above a flat surface\n"
         "# (n = 1.34), horizontal views at right angles to the sun; PythonicDISORT, 24 streams.\n"
         "# Regenerate: python -m tests.acceptance._mismatched.  Specific IOPs of Neil, Cunningham\n"
-        "# & McKee 2011.  sun: degrees; kd_490 (mean to 10 % light), c_550, a_cdm_440: 1/m;\n"
+        "# & McKee 2011.  sun: degrees; kd_490 (mean to 10 % light), c_550, a_cdm_440, "
+        "bb_550: 1/m;\n"
         "# c (1/m), Ed, path_<range> (path radiance), background: at 16 bands of 400-700 nm.\n"
     )
     for k, water in enumerate(waters):

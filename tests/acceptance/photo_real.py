@@ -16,6 +16,7 @@ from pathlib import Path
 import jax
 import jax.numpy as jnp
 import numpy as np
+from scipy.linalg import block_diag
 
 import oceaninv as oi
 from fitting import Background, Chart, Photo, fit_photo, read_photograph, read_range
@@ -37,6 +38,8 @@ ZENITH = {"A": 97.0, "B": 97.0, "C": 95.0, "D": 94.0}
 WATER = [(245, 150, 305, 172, 90.0), (395, 154, 445, 168, 90.0)]
 NOISE = 0.04
 SHALLOW, BIN = 7.5, 1.5
+# Spread (ln) that the fit allows the light on a chart.
+LIGHT = 1.0
 # Scatter of ln(R/G) and ln(B/G) about a smooth curve of depth.
 SCATTER = np.array([0.036, 0.023])
 
@@ -131,19 +134,22 @@ def grey_patch() -> str:
     layout = fit.problem.layout
 
     def colours(x):
-        values = layout.values(x)
+        # A new frame's range and light on the patch are as unknown as those of the frames fitted.
+        values, (away, share) = layout.values(x[:-2]), jnp.exp(x[-2:])
         rows = []
         for p, one in enumerate(readings):
-            # The first photograph's nuisances serve at another depth.
             here = {**values, f"depth_{p}": jnp.asarray(edges[p]),
-                    f"exposure_{p}": jnp.ones(()), f"chart_{p}_0": jnp.ones(()),
-                    f"range_{p}_0": values["range_0_0"]}  # fmt: skip
+                    f"exposure_{p}": jnp.ones(()), f"chart_{p}_0": share,
+                    f"range_{p}_0": away}  # fmt: skip
             row = jnp.log(predict(here, one, oi.TwoStream(), sunlight, p)[0])
             rows.append(jnp.stack([row[0] - row[1], row[2] - row[1]]))
         return jnp.stack(rows)
 
-    middle, slope = jax.jit(lambda x: value_and_jacobian(colours, x))(jnp.asarray(fit.x))
-    variance = np.einsum("dqi,ij,dqj->dq", slope, fit.covariance, slope)
+    spreads = [deep[0].charts[0].distance_sd, LIGHT]
+    at = jnp.concatenate([jnp.asarray(fit.x), jnp.zeros(2)])
+    covariance = block_diag(fit.covariance, np.diag(np.square(spreads)))
+    middle, slope = jax.jit(lambda x: value_and_jacobian(colours, x))(at)
+    variance = np.einsum("dqi,ij,dqj->dq", slope, covariance, slope)
     lines = [
         "\n## One grey patch at many depths\n",
         f"{len(photos)} bins down to {SHALLOW:g} m fitted ({fit.result}, reduced chi2 "

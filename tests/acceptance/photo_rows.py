@@ -1,0 +1,307 @@
+"""Photographs of known protocols: errors, intervals and identifiability over 200 seeds a row.
+
+    python -m tests.acceptance.photo_rows [design | rows | weak | regions | ranks]
+
+Prints the tables and writes photo_<part>.md beside this file; minutes each.
+
+Protocols (`_photo_protocols.py`): ColorCheckers and open water by a Nikon D850, water by the fit's
+own model, white balance unknown throughout.
+
+- ideal: charts at 0.5, 1 and 2 m, 1 % noise, everything else known.
+- tie unknown: the same, scattering per absorption of detritus known within a factor of 2.
+- three depths: one chart at 1 m in frames at 2, 8 and 15 m, 3 % noise, ranges known to 5 %,
+  exposures to 3 %, light on a chart to 20 %, tie within a factor of 2.
+- single photo: charts at 1 and 3 m in a frame at 5 m, exposure unknown, else the same.
+
+Truth: the constituents of one water, nuisances drawn from their priors.  The bound is Bayesian, by
+finite differences of the forward model at every draw.  A row is met when `asked` and `measured`
+say so; nothing is left out.
+"""
+
+import sys
+from pathlib import Path
+from typing import NamedTuple
+
+import jax
+import numpy as np
+from scipy.stats import chi2, chisquare, norm
+
+from fitting.cli import quick_compilation
+from fitting.parameters import Prior
+from fitting.posterior import _identifiable as identifiable
+from fitting.posterior import half_width
+from fitting.sampling import region_of
+from tests.acceptance._photo_posterior import sample as posterior
+from tests.acceptance._photo_protocols import (
+    CONSTITUENTS,
+    NAMES,
+    WATERS,
+    bound,
+    fit_all,
+    observe,
+    priors,
+    setup,
+    truths,
+)
+
+DRAWS, SEED = 200, 21
+
+
+class Outcome(NamedTuple):
+    """Numbers of every draw, each (draw, NAMES): errors (ln) of value and mode, least sd, stated
+    sd, stated second-order spread; `code`: of the search."""
+
+    error: np.ndarray
+    of_mode: np.ndarray
+    best: np.ndarray
+    sd: np.ndarray
+    spread: np.ndarray
+    code: np.ndarray
+
+    def covers(self, level: float) -> np.ndarray:
+        """(NAMES,) share of intervals, as `fitting.Fit` makes them, that hold the truth."""
+        return np.mean(np.abs(self.of_mode) <= half_width(level, self.sd, self.spread), axis=0)
+
+
+def simulate(protocol: str, water: str, count: int = DRAWS, seed: int = SEED) -> Outcome:
+    made = setup(protocol)
+    x = truths(made, WATERS[water], count, seed)
+    seen, logs = observe(made, x, seed + 1)
+    found = fit_all(made, seen)
+    own = [made.parameters.names.index(name) for name in CONSTITUENTS]
+    of_mode = np.concatenate([found["x"] - x, found["logs"] - logs], axis=1)
+    pick = [*own, *range(x.shape[1], x.shape[1] + logs.shape[1])]
+    of_mode = of_mode[:, pick]
+    bias = np.concatenate([found["bias"][:, own], np.zeros_like(logs)], axis=1)
+    sd = np.sqrt(np.einsum("dii->di", found["cov"]))[:, own]
+    return Outcome(
+        of_mode - bias,
+        of_mode,
+        bound(made, x),
+        np.concatenate([sd, found["of_logs"]], axis=1),
+        np.concatenate([found["spread"][:, own], found["derived"]], axis=1),
+        found["code"],
+    )
+
+
+def table(title: str, out: Outcome, asked: dict[str, str]) -> str:
+    """One table; `asked`: what the 95th percentile of |error| should be, by name."""
+    share = np.abs(out.error) / out.best
+    lines = [
+        f"\n### {title}\n",
+        f"{len(out.error)} seeds, converged {np.mean(out.code == 0):.3f}.\n",
+        "| | bound | sd / bound | bias / bound | 68th percentile / bound | 95th / bound | 95th | "
+        "asked | stated sd / bound | 68 % covers | 95 % covers |",
+        "|---|---|---|---|---|---|---|---|---|---|---|",
+    ]
+    cover = [out.covers(level) for level in (0.68, 0.95)]
+    for q, name in enumerate(NAMES):
+        middle, high = np.quantile(share[:, q], [0.68, 0.95])
+        worst = float(np.quantile(np.abs(out.error[:, q]), 0.95))
+        worst_words = f"{np.expm1(worst):.1%}" if worst < np.log(1.5) else f"x {np.exp(worst):.2f}"
+        lines.append(
+            f"| {name} | {np.median(out.best[:, q]):.3f} | "
+            f"{np.std(out.error[:, q] / out.best[:, q], ddof=1):.3f} | "
+            f"{np.mean(out.error[:, q] / out.best[:, q]):+.3f} | {middle:.2f} | {high:.2f} | "
+            f"{worst_words} | {asked.get(name, '-')} | "
+            f"{np.median(out.sd[:, q] / out.best[:, q]):.3f} | "
+            f"{cover[0][q]:.3f} | {cover[1][q]:.3f} |"
+        )
+    return "\n".join(lines)
+
+
+IDEAL = dict(zip(NAMES, ("4.5 %", "5 %", "2.5 %", "4 %", "2 %", "1.3 %", "-"), strict=True))
+THREE = dict(zip(NAMES, ("x 2.7", "x 2.6", "x 2.1", "32 %", "4 %", "8 %", "21 %"), strict=True))
+SINGLE = {"c_550": "12 %", "Kd_490": "9 %", "a_cdm_440": "x 1.5"}
+
+
+def rows(count: int = DRAWS):
+    """Every row's table, one after the other."""
+    yield (
+        "# Photo fit, protocol by protocol\n\n`python -m tests.acceptance.photo_rows rows`.  "
+        "Errors are of logarithms."
+    )
+    for water in ("coastal", "clear", "turbid"):
+        yield table(f"ideal, {water}", simulate("ideal", water, count),
+                    IDEAL if water == "coastal" else {})  # fmt: skip
+    for water in ("coastal", "turbid"):
+        out = simulate("tie unknown", water, count)
+        low = out.sd[:, NAMES.index("detritus")].min()
+        yield table(f"tie unknown, {water}", out, {}) + (
+            f"\n\nSmallest stated sd of ln detritus: {low:.3f} (below 0.25 is a failure)."
+        )
+    yield table("three depths, coastal", simulate("three depths", "coastal", count), THREE)
+    out = simulate("single photo", "coastal", count)
+    wide = np.mean(out.sd[:, [0, 2]] > 0.5, axis=0)
+    yield table("single photo, coastal", out, SINGLE) + (
+        f"\n\nFlagged not identifiable (interval only): chlorophyll {wide[0]:.3f}, detritus "
+        f"{wide[1]:.3f} of the seeds."
+    )
+
+
+# Expected sigma by an independent calculation, whose protocols are known by these words only:
+# C, a_y, a_d, a_cdm(440), Kd(490), c(550), bb(550).
+EXPECTED = {
+    "background": (2.0, 0.41, 1.1, 0.54, 0.067, 0.27, 0.26),
+    "ideal": (0.018, 0.017, 0.010, 0.014, 0.006, 0.005, 0.006),
+    "single photo": (0.65, 0.24, 0.79, 0.19, 0.033, 0.050, 0.15),
+    "three depths": (0.37, 0.17, 0.30, 0.11, 0.011, 0.031, 0.083),
+    "three depths, shapes": (0.48, 0.29, 0.71, 0.15, 0.017, 0.032, 0.11),
+    "three depths, matrix": (0.42, 0.18, 0.41, 0.12, 0.013, 0.035, 0.099),
+    "three depths, a_y to 10 %": (0.26, 0.086, 0.26, 0.074, 0.009, 0.031, 0.064),
+}
+
+
+def design():
+    """Bounds at the coast, nuisances at the centres of their priors, beside those expected."""
+    yield (
+        "# Bounds by protocol: expected elsewhere / here\n\n`python -m tests.acceptance.photo_rows "
+        "design`.  Standard deviations of logarithms, coastal water.\n\n| protocol | "
+        + " | ".join(NAMES)
+        + " |\n"
+        + "|---" * (len(NAMES) + 1)
+        + "|"
+    )
+    for name, expected in EXPECTED.items():
+        made = setup(name)
+        x = np.array(made.parameters.prior().centre)[None]
+        for i, p in enumerate(made.parameters):
+            if p.name in CONSTITUENTS:
+                x[0, i] = np.log(WATERS["coastal"][CONSTITUENTS.index(p.name)])
+        here = bound(made, x)[0]
+        cells = [f"{e:.3g} / {h:.2g}" for e, h in zip(expected, here, strict=True)]
+        yield f"| {name} | " + " | ".join(cells) + " |"
+
+
+def weak(count: int = DRAWS):
+    """Photographs that cannot tell: what is flagged, and whether intervals hold the truth."""
+    yield (
+        "# Photographs that cannot tell\n\n`python -m tests.acceptance.photo_rows weak`.  Every "
+        "nuisance of the default fit is free and drawn from its prior; coastal water."
+    )
+    for name in ("background, everything unknown", "JPEG without chart"):
+        out = simulate(name, "coastal", count)
+        yield table(name, out, {}) + "\n\n" + flags(name, out)
+
+
+def flags(name: str, out: Outcome) -> str:
+    known = {p.name: p for p in setup(name).parameters}
+    words = []
+    for q, constituent in enumerate(CONSTITUENTS):
+        seen = [identifiable(known[constituent], sd) for sd in out.sd[:, q]]
+        words.append(f"{constituent} {1 - np.mean(seen):.3f}")
+    return "Flagged not identifiable (interval only): " + ", ".join(words) + " of the seeds."
+
+
+def regions(count: int = 120):
+    """Joint 95 % regions and intervals of sampled posteriors."""
+    yield (
+        "# Sampled posteriors of photographs\n\n`python -m tests.acceptance.photo_rows regions`."
+        "\n\nDraws by importance sampling of the exact posterior (`_photo_posterior.py`); regions "
+        "as `fitting.joint_region` makes them of draws, beside the ellipsoids at the optimum."
+    )
+    for name in ("three depths", "single photo"):
+        made = setup(name)
+        x = truths(made, WATERS["coastal"], count, SEED)
+        seen, logs = observe(made, x, SEED + 1)
+        yield _regions(name, made, x, seen, logs)
+
+
+def _regions(name, made, x, seen, logs) -> str:
+    prior = priors(made, len(x))
+    found = fit_all(made, seen, prior)
+    post = posterior(made, seen, prior, found, HARD)
+    own = [made.parameters.names.index(n) for n in CONSTITUENTS]
+    true = np.concatenate([x[:, own], logs], axis=1)
+    draws = np.concatenate([post.x[:, :, own], post.logs], axis=2)
+    lines = [
+        f"\n## {name}\n",
+        f"{len(x)} seeds, {post.x.shape[1]} draws each; effective draws: median "
+        f"{np.median(post.effective):.0f}, least {post.effective.min():.0f}; Pareto k: median "
+        f"{np.median(post.shape):.2f}, above 0.7 in {np.mean(post.shape > 0.7):.3f}.\n",
+        "| joint 95 % region | sampled covers | ellipsoid covers |",
+        "|---|---|---|",
+    ]
+    cov = found["cov"][:, own][:, :, own]
+    off = found["x"][:, own] - x[:, own]
+    inside = np.einsum("di,dij,dj->d", off, np.linalg.inv(cov), off) <= chi2.ppf(0.95, 3)
+    for pick, ellipsoid in (((0, 1, 2), f"{np.mean(inside):.3f}"), ((3, 4, 5, 6), "-")):
+        names = tuple(NAMES[i] for i in pick)
+        held = [
+            region_of(names, one[:, pick], 0.95).holds(dict(zip(names, t, strict=True)))
+            for one, t in zip(draws, np.exp(true[:, pick]), strict=True)
+        ]
+        lines.append(f"| {', '.join(names)} | {np.mean(held):.3f} | {ellipsoid} |")
+    lines += ["\n| | sd of the draws | 68 % covers | 95 % covers |", "|---|---|---|---|"]
+    for q, one in enumerate(NAMES):
+        below = np.mean(draws[:, :, q] < true[:, q, None], axis=1)
+        cover = [np.mean(np.abs(below - 0.5) <= 0.5 * level) for level in (0.68, 0.95)]
+        spread = np.median(draws[:, :, q].std(axis=1))
+        lines.append(f"| {one} | {spread:.3f} | {cover[0]:.3f} | {cover[1]:.3f} |")
+    return "\n".join(lines)
+
+
+# Chlorophyll, a_y, a_d and the tie: what makes these posteriors curved.
+HARD = 4
+# Constituents about the coast, standard deviations of ln: the region that ranks are counted in.
+REGION, BINS = 0.7, 10
+
+
+def ranks(count: int = 120):
+    """Simulation-based calibration: ranks of the truth, drawn from the prior, in the posterior."""
+    yield (
+        "# Calibration by simulation\n\n`python -m tests.acceptance.photo_rows ranks`.\n\nTruths "
+        f"from the fit's prior, constituents within {REGION} (sd of ln) of the coast.  Share of "
+        f"the posterior below the truth, {count} seeds in {BINS} bins, against uniform (Talts et "
+        "al. 2018, arXiv:1804.06788): Gaussian at the optimum for the ideal protocol, draws for "
+        "the others.\n\n| protocol | "
+        + " | ".join(f"p of {n}" for n in NAMES)
+        + " |\n"
+        + "|---" * (len(NAMES) + 1)
+        + "|"
+    )
+    for name in ("ideal", "three depths", "single photo"):
+        yield _ranks(name, count)
+
+
+def _ranks(name: str, count: int) -> str:
+    made = setup(name)
+    prior, x = priors(made, count), truths(made, WATERS["coastal"], count, SEED + 7)
+    own = [made.parameters.names.index(n) for n in CONSTITUENTS]
+    centre, weight = prior.centre.copy(), prior.weight.copy()
+    centre[:, own], weight[:, own] = np.log(WATERS["coastal"]), 1 / REGION
+    prior = Prior(centre, weight, prior.scale)
+    x[:, own] += REGION * np.random.default_rng(SEED).standard_normal((count, len(own)))
+    seen, logs = observe(made, x, SEED + 8)
+    found = fit_all(made, seen, prior)
+    sd = np.sqrt(np.einsum("dii->di", found["cov"]))[:, own]
+    if name == "ideal":
+        off = np.concatenate([(x - found["x"])[:, own] / sd,
+                              (logs - found["logs"]) / found["of_logs"]], axis=1)  # fmt: skip
+        below = norm.cdf(off)
+    else:
+        post = posterior(made, seen, prior, found, HARD)
+        draws = np.concatenate([post.x[:, :, own], post.logs], axis=2)
+        true = np.concatenate([x[:, own], logs], axis=1)
+        below = np.mean(draws < true[:, None], axis=1)
+    cells = []
+    for q in range(len(NAMES)):
+        heights = np.histogram(below[:, q], BINS, (0.0, 1.0))[0]
+        cells.append(f"{chisquare(heights).pvalue:.3f}")
+    return f"| {name} | " + " | ".join(cells) + " |"
+
+
+def main():
+    quick_compilation(drawing=True)
+    jax.config.update("jax_enable_x64", True)
+    parts = {"design": design, "rows": rows, "weak": weak, "regions": regions, "ranks": ranks}
+    for name in sys.argv[1:] or list(parts):
+        path, lines = Path(__file__).with_name(f"photo_{name}.md"), []
+        for part in parts[name]():
+            lines.append(part)
+            print(part, flush=True)
+            path.write_text("\n".join(lines) + "\n")
+
+
+if __name__ == "__main__":
+    main()
