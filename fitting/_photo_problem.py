@@ -26,6 +26,7 @@ from fitting.parameters import (
     Parameters,
     Prior,
     constituents,
+    pigment_packaging,
     shape_nuisances,
 )
 from fitting.quantities import UNITS, water_quantities
@@ -90,6 +91,7 @@ def _unknowns(photos: Sequence[Photo], matrix: bool) -> Parameters:
     unknowns = [
         *constituents(),
         *shape_nuisances(),
+        pigment_packaging(),
         Parameter("solar_zenith", max(sun, 1.0), 0.1, Log(), "degree", True),
         Parameter("sunlight_tilt", 0.0, 0.05, Identity(), "1", True),
         # What the closed form gets wrong in Kd.  Set by an Ed that erred more than today's; kept,

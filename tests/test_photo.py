@@ -9,7 +9,9 @@ import pytest
 
 import oceaninv as oi
 from fitting import Background, Chart, Parameter, Photo, Pixels, design, fit_photo, fit_photos
+from fitting.parameters import water_iops
 from fitting.photo import WAVELENGTH, photo_residual, predict, prepare
+from fitting.quantities import water_quantities
 from fitting.solve import cross_check
 
 GREY = np.array([0.9, 0.5, 0.2, 0.08])
@@ -40,15 +42,37 @@ def water(wavelength):
     return model.iops(oi.Constituents(**TRUTH), wavelength)
 
 
-@functools.cache
-def clean():
-    """Noise-free readings at the truth: nuisances at their centres, gains and lights arbitrary."""
+def seen(**changes):
+    """Noise-free readings at the truth, nuisances at their centres but for `changes`; and its
+    quantities."""
     parameters, (readings,), sunlight = prepare([photo()], oi.TwoStream())
     values = {p.name: jnp.asarray(p.centre) for p in parameters}
-    values |= {name: jnp.asarray(v) for name, v in TRUTH.items()}
+    values |= {name: jnp.asarray(v) for name, v in (TRUTH | changes).items()}
     values |= {"chart_0_0": jnp.asarray(1.3), "chart_0_1": jnp.asarray(0.6)}
     values |= {f"gain_0_{c}": jnp.asarray(g) for c, g in zip("RGB", (0.4, 0.2, 0.3), strict=True)}
-    return np.asarray(predict(values, readings, oi.TwoStream(), sunlight))
+    of_water = water_quantities(values, WAVELENGTH, oi.TwoStream())
+    return np.asarray(predict(values, readings, oi.TwoStream(), sunlight)), of_water
+
+
+@functools.cache
+def clean():
+    """Readings with nuisances at their centres, gains and lights arbitrary."""
+    return seen()[0]
+
+
+def test_packaging_gives_algae_the_shape_of_another_chlorophyll():
+    wavelength = np.array([412.0, 440.0, 550.0, 675.0])
+
+    def absorption(chlorophyll, **changes):
+        values = {"chlorophyll": jnp.asarray(chlorophyll)} | changes
+        found = water_iops(values, wavelength)
+        return np.asarray(found.a_components[found.absorbers.index("chlorophyll")])
+
+    packaged = absorption(1.5, phytoplankton_package=jnp.asarray(2.0))
+    ratio = packaged / absorption(3.0)
+    np.testing.assert_allclose(ratio, ratio[0], rtol=1e-12)
+    assert packaged[1] == pytest.approx(absorption(1.5)[1], rel=1e-12)
+    assert packaged[2] > 1.2 * absorption(1.5)[2]
 
 
 @functools.cache
@@ -235,6 +259,46 @@ def test_the_sensitivity_table_is_what_moving_a_prior_does(nuisance):
         up, down = (m.x[i] for m in moved)
         said = fit.sensitivity[name][nuisance]
         assert (up - down) / 0.2 == pytest.approx(said, rel=0.1, abs=0.06 * fit.sd[name])
+
+
+def _off(fit, of_water):
+    """Errors of ln quantities and constituents in standard deviations, and what the table says of
+    them by nuisance, likewise."""
+    scalars = ("Kd_490", "c_550", "a_cdm_440", "bb_550")
+    away = [np.log(fit.quantities[n].value / of_water[n]) for n in scalars]
+    away += [fit.x[fit.parameters.names.index(n)] - np.log(v) for n, v in TRUTH.items()]
+    sd = np.array([*(fitted().quantities[n].sd for n in scalars), *(fitted().sd[n] for n in TRUTH)])
+    names = list(fit.sensitivity["Kd_490"])
+    table = [[fitted().sensitivity[q][n] for n in names] for q in (*scalars, *TRUTH)]
+    return np.array(away) / sd, dict(zip(names, (np.array(table) / sd[:, None]).T, strict=True))
+
+
+@pytest.mark.parametrize(
+    ("nuisance", "value"),
+    [
+        ("backscatter", 1.2),
+        ("tie", 8.0),
+        ("detritus_slope", 0.0105),
+        ("phytoplankton_absorption", 1.4),
+        ("phytoplankton_scattering", 1.5),
+    ],
+)
+def test_the_sensitivity_table_names_the_assumption_that_is_broken(nuisance, value):
+    """Of all assumptions, the errors follow the row of the one that does not hold."""
+    readings, of_water = seen(**{nuisance: value})
+    fit = fit_photo(photo(readings))
+    # Residuals say nothing: what does not hold is to be known from the table alone.
+    assert fit.metadata["reduced_chi2"] < 0.2
+    away, table = _off(fit, of_water)
+    away = away - _off(fitted(), seen()[1])[0]
+    near = {n: abs(away @ row) / max(np.linalg.norm(row), 1e-9) for n, row in table.items()}
+    assert max(near, key=near.get) == nuisance
+    assert near[nuisance] > 0.95 * np.linalg.norm(away)
+    # And by as much as it says, to first order.
+    known = next(p for p in fit.parameters if p.name == nuisance)
+    there, centre = known.transform.coordinate(value), known.transform.coordinate(known.centre)
+    said = -(there - centre) / known.spread * table[nuisance]
+    assert np.max(np.abs(away - said)) < 0.25
 
 
 @pytest.mark.slow

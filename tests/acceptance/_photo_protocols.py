@@ -75,7 +75,8 @@ def photo(ranges, depth=5.0, zeniths=(90.0,), range_sd=0.0, **kwargs: Any) -> Ph
 
 TIE = float(np.log(2.0))
 _FIELD = {"gain": None, "tie": TIE, "range": 0.05, "chart": 0.2, "exposure": 0.03}
-_SHAPES = ("cdom_slope", "detritus_", "phytoplankton_", "backscatter")
+_ALGAE = ("phytoplankton_exponent", "phytoplankton_absorption", "phytoplankton_scattering")
+_SHAPES = ("cdom_slope", "detritus_", *_ALGAE, "backscatter")
 
 
 def _three_depths():
@@ -85,6 +86,9 @@ def _three_depths():
 PROTOCOLS = {
     "ideal": Protocol(lambda: [photo((0.5, 1.0, 2.0))], 0.01, {"gain": None}),
     "tie unknown": Protocol(lambda: [photo((0.5, 1.0, 2.0))], 0.01, {"gain": None, "tie": TIE}),
+    "tie and shapes unknown": Protocol(
+        lambda: [photo((0.5, 1.0, 2.0))], 0.01, {"gain": None, "tie": TIE} | dict.fromkeys(_SHAPES)
+    ),
     "three depths": Protocol(_three_depths, 0.03, _FIELD),
     "three depths, shapes": Protocol(_three_depths, 0.03, _FIELD | dict.fromkeys(_SHAPES)),
     "three depths, a_y to 10 %": Protocol(_three_depths, 0.03, _FIELD | {"cdom": 0.1}),
@@ -92,6 +96,9 @@ PROTOCOLS = {
     "single photo": Protocol(lambda: [photo((1.0, 3.0), range_sd=0.05)], 0.03, _FIELD),
     "background": Protocol(
         lambda: [photo((), exposure=1.0, exposure_sd=1.0)], 0.03, {"exposure": None}
+    ),
+    "background, white balance known": Protocol(
+        lambda: [photo((), exposure=1.0, exposure_sd=1.0)], 0.03, {"gain": 1e-4, "": None}
     ),
     "background, everything unknown": Protocol(
         lambda: [photo((), exposure=1.0, exposure_sd=1.0)], 0.03, {"": None}
