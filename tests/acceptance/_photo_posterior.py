@@ -1,11 +1,15 @@
-"""The posterior of a simulated photograph by importance sampling, exact for it and checked.
+"""The posterior of a simulated photograph: importance sampling, then Metropolis steps.
 
 A posterior of C, a_y, a_d and the tie is a long curved valley, but given these four everything else
 (gains, exposures, ranges, light on charts) is nearly Gaussian.  So the four are drawn from a
 Student-t about the optimum, twice, the second time with the moments that the first found; the rest
 is drawn from the Gaussian about its conditional optimum, which Gauss-Newton finds; weights put
-right what either lacks.  How heavy the tail of the weights is, by the shape k of a generalised
-Pareto (Vehtari et al. 2024, Journal of Machine Learning Research 25:72): below 0.7 to be trusted.
+right what either lacks.  Where few draws hold the weight, weights are flattened until LEAST do.
+Every draw then takes STEPS Metropolis steps in the exact posterior (a resample and move: Gilks &
+Berzuini 2001, Journal of the Royal Statistical Society B 63:127), which forget where they began:
+`settled` says whether spreads still change.  How heavy the tail of the weights is, by the shape k
+of a generalised Pareto (Vehtari et al. 2024, Journal of Machine Learning Research 25:72): below 0.7
+they could be trusted by themselves.
 """
 
 from typing import NamedTuple
@@ -18,18 +22,22 @@ from fitting.solve import value_and_jacobian
 from tests.acceptance._photo_protocols import Setup, by_chunks
 
 # Draws in a block; blocks in the first and in the second round; draws kept.
-BLOCK, FIRST, SECOND, KEPT = 400, 1, 4, 1000
+BLOCK, FIRST, SECOND, KEPT = 400, 1, 3, 500
+LEAST, STEPS = 200, 100
 _FREEDOM, _WIDER = 6.0, 1.2
 
 
 class Posterior(NamedTuple):
     """Draws (seed, draw, unknown) and of ln quantities (seed, draw, quantity), equally weighted;
-    effective number of draws and Pareto k by seed."""
+    effective number of draws and Pareto k of the weights by seed; by how much (ln) spreads changed
+    in the second half of the steps, (seed, hard unknown); share of steps accepted."""
 
     x: np.ndarray
     logs: np.ndarray
     effective: np.ndarray
     shape: np.ndarray
+    settled: np.ndarray
+    accepted: np.ndarray
 
 
 def _conditional(made: Setup, hard: int, seen, prior, mode, along, z, noise):
@@ -134,8 +142,66 @@ def sample(made: Setup, seen, prior, found, hard: int, seed: int = 3) -> Posteri
         # A few heavy draws must not make the proposal narrow.
         covs = 0.8 * np.einsum("sd,sdi,sdj->sij", weight, off, off) + 0.2 * covs
     x = np.concatenate([z, w], axis=2)
-    picks = np.stack([rng.choice(x.shape[1], KEPT, p=row) for row in weight])
+    picks = np.stack([rng.choice(x.shape[1], KEPT, p=_annealed(row)) for row in log_weight])
     x = np.take_along_axis(x, picks[:, :, None], axis=1)
+    roots = np.stack([_spread(*pair) for pair in zip(x, found["cov"], strict=True)])
+    keys = rng.integers(0, 2**31, seeds)
+    halfway, x, accepted = by_chunks(_walk(made), seen, prior, x, roots, keys)
     logs = by_chunks(made.derive, x.reshape(-1, unknown), chunk=KEPT).reshape(seeds, KEPT, -1)
+    settled = np.log(x[:, :, :hard].std(axis=1) / halfway[:, :, :hard].std(axis=1))
     shapes = np.array([pareto_shape(row) for row in log_weight])
-    return Posterior(x, logs, 1 / np.sum(weight**2, axis=1), shapes)
+    return Posterior(x, logs, 1 / np.sum(weight**2, axis=1), shapes, settled, accepted)
+
+
+def _annealed(log_weight: np.ndarray) -> np.ndarray:
+    """Probabilities by weights to the largest power, 1 at most, that leaves LEAST draws."""
+
+    def at(power):
+        weight = np.exp(power * (log_weight - log_weight.max()))
+        return weight / weight.sum()
+
+    low, high = 0.0, 1.0
+    if 1 / np.sum(at(high) ** 2) >= LEAST:
+        return at(high)
+    for _ in range(30):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if 1 / np.sum(at(middle) ** 2) >= LEAST else (low, middle)
+    return at(low)
+
+
+def _spread(draws, covariance) -> np.ndarray:
+    """A root of the covariance of draws, with a tenth of the ellipsoid's."""
+    return np.linalg.cholesky(0.9 * np.cov(draws.T) + 0.1 * covariance)
+
+
+def _walk(made: Setup):
+    """A program of Metropolis steps of many walkers, (draw, unknown) each: halfway and at the end;
+    share accepted."""
+
+    def run(seen, prior, x, root, seed):
+        residual = made.problem(seen, prior).residual
+
+        def density(x):
+            return jax.lax.map(lambda x: -0.5 * jnp.sum(residual(x) ** 2), x, batch_size=250)
+
+        def step(carry, key):
+            x, here = carry
+            push, size, chance = jax.random.split(key, 3)
+            # Steps of many sizes about the best for a Gaussian (Roberts et al. 1997).
+            scale = 2.38 / np.sqrt(x.shape[1]) * jnp.exp(jax.random.normal(size, (len(x), 1)) - 0.5)
+            new = x + scale * (jax.random.normal(push, x.shape) @ root.T)
+            there = density(new)
+            there = jnp.where(jnp.isfinite(there), there, -jnp.inf)
+            taken = jnp.log(jax.random.uniform(chance, here.shape)) < there - here
+            x = jnp.where(taken[:, None], new, x)
+            return (x, jnp.where(taken, there, here)), jnp.mean(taken.astype(x.dtype))
+
+        def half(carry, key):
+            carry, accepted = jax.lax.scan(step, carry, jax.random.split(key, STEPS // 2))
+            return carry, (carry[0], jnp.mean(accepted))
+
+        keys = jax.random.split(jax.random.key(seed), 2)
+        _, (visited, accepted) = jax.lax.scan(half, (x, density(x)), keys)
+        return visited[0], visited[1], jnp.mean(accepted)
+
+    return jax.jit(lambda *arguments: jax.lax.map(lambda a: run(*a), arguments))

@@ -207,8 +207,8 @@ def regions(count: int = 120):
     """Joint 95 % regions and intervals of sampled posteriors."""
     yield (
         "# Sampled posteriors of photographs\n\n`python -m tests.acceptance.photo_rows regions`."
-        "\n\nDraws by importance sampling of the exact posterior (`_photo_posterior.py`); regions "
-        "as `fitting.joint_region` makes them of draws, beside the ellipsoids at the optimum."
+        "\n\nDraws from the exact posterior by `_photo_posterior.py`; regions as "
+        "`fitting.joint_region` makes them of draws, beside the ellipsoids at the optimum."
     )
     for name in ("three depths", "single photo"):
         made = setup(name)
@@ -228,7 +228,9 @@ def _regions(name, made, x, seen, logs) -> str:
         f"\n## {name}\n",
         f"{len(x)} seeds, {post.x.shape[1]} draws each; effective draws: median "
         f"{np.median(post.effective):.0f}, least {post.effective.min():.0f}; Pareto k: median "
-        f"{np.median(post.shape):.2f}, above 0.7 in {np.mean(post.shape > 0.7):.3f}.\n",
+        f"{np.median(post.shape):.2f}, above 0.7 in {np.mean(post.shape > 0.7):.3f}; Metropolis "
+        f"steps accepted {np.mean(post.accepted):.2f}, spreads (ln) changed in their second half "
+        f"by {np.mean(post.settled):+.3f} on average.\n",
         "| joint 95 % region | sampled covers | ellipsoid covers |",
         "|---|---|---|",
     ]
