@@ -2,11 +2,11 @@
 
     python -m tests.acceptance.profile_layers [--casts N]
 
-writes tests/acceptance/profile_layers.md (some minutes).  Each cast: 7 bands, 60 depths
+writes tests/acceptance/profile_layers.md, five to ten processor seconds a cast.  Each cast: 7 bands, 60 depths
 of 0.2-15 m, 3 % noise that is known, the sun at 40 degrees.  The upper water is random (ln sd 0.7
 about the priors' centres), the lower has 2 to 4 times as much of everything or as little, their
 interface lies at 3.5-8 m, and the shapes of optical properties, the sun and the error of depths
-are drawn from their priors.  The light is that of 16 streams, the fit goes through 4, is told that
+are drawn from their priors.  The light is that of 16 streams, the fit goes through 8, is told that
 there are two layers and finds where they meet.
 """
 
@@ -77,7 +77,7 @@ def main():
         seen = clean * (1.0 + NOISE * rng.standard_normal(clean.shape))
         cast = Profile(DEPTH, BANDS, seen, sigma=NOISE * clean, solar_zenith=ZENITH)
         fit = fit_profile(
-            cast, transport=oi.PlaneParallel(4), layers=2, depth_range=(0.0, DEPTH[-1])
+            cast, transport=oi.PlaneParallel(8), layers=2, depth_range=(0.0, DEPTH[-1])
         )
         names = fit.parameters.names
         errors = [fit.x[names.index(n)] - x[layout.names.index(n)] for n in ASKED]
