@@ -2,12 +2,12 @@
 
     python -m tests.acceptance.profile_layers [--casts N]
 
-writes tests/acceptance/profile_layers.md (five to ten processor seconds a cast).  Each cast: 7
-bands, 60 depths of 0.2-15 m, 3 % noise that is known, the sun at 40 degrees.  The upper water is random (ln sd 0.7
-about the priors' centres), the lower has 2 to 4 times as much of everything or as little, their
-interface lies at 3.5-8 m, and the shapes of optical properties, the sun and the error of depths
-are drawn from their priors.  The light is that of 16 streams, the fit goes through 8, is told that
-there are two layers and finds where they meet.
+writes tests/acceptance/profile_layers.md (five to ten processor seconds a cast). Each cast: 7
+bands, 60 depths of 0.2-15 m, 3 % noise that is known, the sun at 40 degrees. The upper water is
+random (ln sd 0.7 about the priors' centres), the lower has 2 to 4 times as much of everything or
+as little, their interface lies at 3.5-8 m, and the shapes of optical properties, the sun and the
+error of depths are drawn from their priors. The light is that of 16 streams, the fit goes through
+8, is told that there are two layers and finds where they meet.
 """
 
 import argparse
