@@ -42,8 +42,6 @@ def _solve(stack, bounds, endless, moving=None):
         both = jnp.stack([beam.even, beam.odd], axis=1)
         return own, do.leaving(layer, modes, beam, own, values[count:] * both[None])
 
-    # All layers at once: the batched factorisations of LAPACK share the threads that run them, and
-    # as many of them at a time as there are threads would wait for each other for ever.
     own, sent = jax.vmap(respond)(stack)
     none = jnp.zeros_like(sent.up)
     bare = do.Slab(own.reflect, own.transmit, none, none)

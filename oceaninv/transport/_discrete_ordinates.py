@@ -21,6 +21,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from oceaninv._quadrature import Basis
+from oceaninv.transport import _factors
 from oceaninv.transport import _matrix_functions as mf
 
 _TINY = 1e-18  # 1/m, added to absorption: keeps value and derivative of empty water defined
@@ -100,9 +101,9 @@ def _modes_in_full(mean, operators, directions):
     even = one - (even_basis * even_gain[None, :]) @ even_basis.T
     # What is not scattered, exact: in this element lies the whole difference that a makes.
     even = even.at[0, 0].set(jnp.where(mean == 1, lost, even[0, 0]))
-    root, inverse_root = _square_root(one - (odd_basis * odd_gain[None, :]) @ odd_basis.T)
+    root, inverse_root = _factors.square_root(one - (odd_basis * odd_gain[None, :]) @ odd_basis.T)
     fixed = across @ root
-    _, vectors = jnp.linalg.eigh(fixed.T @ even @ fixed, symmetrize_input=False)
+    vectors = _factors.eigenvectors(fixed.T @ even @ fixed)
     right = root @ vectors
     projected = across @ right
     scattered = even @ projected
@@ -155,25 +156,6 @@ def _modes_jvp(primals, tangents):
 _modes.defjvp(_modes_jvp, symbolic_zeros=True)
 
 
-@jax.custom_jvp
-def _square_root(matrix):
-    """(C, C^-1) with C C' = matrix, symmetric positive definite.
-
-    Which C does not matter to the field; the derivative is that of the simplest choice.
-    """
-    root = jnp.linalg.cholesky(matrix, symmetrize_input=False)
-    one = jnp.broadcast_to(jnp.eye(matrix.shape[-1], dtype=matrix.dtype), matrix.shape)
-    return root, jax.lax.linalg.triangular_solve(root, one, left_side=True, lower=True)
-
-
-@_square_root.defjvp
-def _square_root_jvp(primals, tangents):
-    root, inverse = _square_root(*primals)
-    half = inverse @ tangents[0] / 2
-    change = half @ jnp.matrix_transpose(inverse)
-    return (root, inverse), (jnp.matrix_transpose(half), -change @ inverse)
-
-
 def beam_source(
     layer: Layer, modes: Modes, basis: Basis, angular: Float[Array, "moment"], nu: Float[Array, ""]
 ) -> Beam:
@@ -189,9 +171,9 @@ def beam_source(
 def inverse_of(matrix, positive=True):
     """Inverse, of a symmetric positive definite matrix or of any, whose derivative reuses it."""
     if not positive:
-        return jnp.linalg.inv(matrix)
-    _, inverse = _square_root(matrix)
-    return jnp.matrix_transpose(inverse) @ inverse
+        return _factors.inverse(matrix)
+    _, inverse = _factors.square_root(matrix)
+    return inverse.T @ inverse
 
 
 @inverse_of.defjvp
@@ -225,10 +207,10 @@ def operators(modes: Modes, apply: Callable, endless: bool) -> Operators:
     right = apply(operands)
     z, y = factor @ right[0], inverse.T @ (modes.matrix @ right[1])
     if endless:
-        k1, k2 = inverse_of(one[None] + jnp.stack([z, y]))
+        k1, k2 = jax.vmap(inverse_of)(one[None] + jnp.stack([z, y]))
         nothing = jnp.zeros_like(z)
         return Operators(k1, k2, k1 @ (z - y) @ k2, *(nothing,) * 4)
-    k1, k2, k3 = inverse_of(one[None] + jnp.stack([z, y, inverse.T @ right[3]]))
+    k1, k2, k3 = jax.vmap(inverse_of)(one[None] + jnp.stack([z, y, inverse.T @ right[3]]))
     inner = factor @ right[2]
     transmit = k1 @ inner @ k2
     return Operators(k1, k2, k1 @ (z - y) @ k2, inner, transmit, k3, inverse.T @ right[4])

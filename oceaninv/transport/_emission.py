@@ -168,7 +168,6 @@ def solve(
             up, down = (v + w for v, w in zip((up, down), reversed(tuple(mirrored)), strict=True))
         return do.Slab(own.reflect, own.transmit, up, down)
 
-    # All layers at once, as in `_boundaries.solve`.
     slabs = jax.vmap(respond)(layers, modes, glows)
     upper = None
     if layers.depth.shape[0] > 1:
