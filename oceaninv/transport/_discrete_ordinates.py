@@ -170,10 +170,7 @@ def beam_source(
 @functools.partial(jax.custom_jvp, nondiff_argnums=(1,))
 def inverse_of(matrix, positive=True):
     """Inverse, of a symmetric positive definite matrix or of any, whose derivative reuses it."""
-    if not positive:
-        return _factors.inverse(matrix)
-    _, inverse = _factors.square_root(matrix)
-    return inverse.T @ inverse
+    return _factors.inverse_of_positive(matrix) if positive else _factors.inverse(matrix)
 
 
 @inverse_of.defjvp
