@@ -221,18 +221,19 @@ def draw_rows(path: Path, trade: Trade) -> None:
     rows = trade.rows
     best = [row for row in rows if row.best]
     axes.plot([r.seconds for r in best], [r.error for r in best], "-", lw=1.0, color="tab:blue")
-    for row in rows:
+    for i, row in enumerate(rows):
         colour = "tab:blue" if row.best else "0.7"
         axes.plot(row.seconds, row.error, "o", ms=6, color=colour)
         axes.annotate(
             row.model,
             (row.seconds, row.error),
-            xytext=(5, 3),
+            xytext=(5, (3, -9, 13, -19)[i % 4]),  # neighbours often err alike
             textcoords="offset points",
             fontsize=7,
             color="0.2" if row.best else "0.6",
         )
     axes.axhspan(0.0, max(trade.doubt, 1e-12), color="0.9", zorder=0)
+    axes.margins(x=0.15)
     axes.set(xscale="log", yscale="log", xlabel="processor seconds per run", ylabel="error")
     title = f"{trade.title}: {trade.quantity}"
     axes.set_title(f"{title} (grey band: the reference's own error)", fontsize=10)
