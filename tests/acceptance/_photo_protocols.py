@@ -86,9 +86,6 @@ def _three_depths():
 PROTOCOLS = {
     "ideal": Protocol(lambda: [photo((0.5, 1.0, 2.0))], 0.01, {"gain": None}),
     "tie unknown": Protocol(lambda: [photo((0.5, 1.0, 2.0))], 0.01, {"gain": None, "tie": TIE}),
-    "tie and shapes unknown": Protocol(
-        lambda: [photo((0.5, 1.0, 2.0))], 0.01, {"gain": None, "tie": TIE} | dict.fromkeys(_SHAPES)
-    ),
     "three depths": Protocol(_three_depths, 0.03, _FIELD),
     "three depths, shapes": Protocol(_three_depths, 0.03, _FIELD | dict.fromkeys(_SHAPES)),
     "three depths, a_y to 10 %": Protocol(_three_depths, 0.03, _FIELD | {"cdom": 0.1}),
