@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 import oceaninv as oi
+from fitting._lamp_model import lamplit
 from fitting.parameters import water_iops
 from fitting.readings import Photo, Pixels
 from oceaninv.transport.base import AbstractTransport
@@ -53,6 +54,7 @@ class Readings(eqx.Module):
     response: oi.spectrum.Response | None
     exposure: Float[Array, ""] | None
     pixels: PixelClasses | None
+    lamp: bool = eqx.field(static=True, default=False)
 
 
 def _direction(zenith: float, azimuth: float) -> list[float]:
@@ -109,6 +111,7 @@ def readings_of(photo: Photo) -> Readings:
         photo.response,
         None if photo.exposure is None else jnp.asarray(photo.exposure),
         None if photo.pixels is None else _classes(photo.pixels, photo.azimuth),
+        photo.lamp,
     )
 
 
@@ -206,7 +209,7 @@ def predict(
 
     values = G (I + M) [ W (rho q Ed/pi e^(-c P)) + v W A ], with G the channel gains, M an
     optional matrix of cross-talk, q the irradiance on the chart relative to Ed at its depth,
-    A the path radiance and v its closure error.
+    A the path radiance and v its closure error.  By lamplight see `fitting._lamp_model.lamplit`.
     """
     lit = light_up(values, readings, sunlight, photo)
     return predict_lit(lit, values, readings, transport, photo)
@@ -219,16 +222,23 @@ def predict_lit(lit: Lit, values, readings: Readings, transport, photo: int):
     count = sum(readings.is_chart)
     distance = _distances(values, readings, photo)
     direction = readings.direction
-    zero = jnp.zeros((), dtype)
-    rays = oi.Rays(jnp.stack([zero, zero, lit.depth]), direction, distance)
-    veil = transport.radiance(lit.scene, rays, None).value
+    white = veil = jnp.zeros((0, 0), dtype)
+    if readings.lamp:
+        white, veil = lamplit(lit.water, lit.scene.light.direct, distance, values["blind"])
+    else:
+        zero = jnp.zeros((), dtype)
+        rays = oi.Rays(jnp.stack([zero, zero, lit.depth]), direction, distance)
+        veil = transport.radiance(lit.scene, rays, None).value
     signal = (veil @ lit.response.T * lit.veil[None, :])[jnp.asarray(readings.ray)]
     if count:
-        chart_depth = jnp.maximum(lit.depth + distance[:count] * direction[:count, 2], 0.0)
-        down = transport.irradiance(lit.scene, chart_depth, None).Ed.value
         share = jnp.stack([values[f"chart_{photo}_{k}"] for k in range(count)])
-        through = jnp.exp(-lit.water.c[None, :] * distance[:count, None])
-        arriving = down * share[:, None] * through
+        if readings.lamp:
+            arriving = jnp.pi * white[:count] * share[:, None]
+        else:
+            chart_depth = jnp.maximum(lit.depth + distance[:count] * direction[:count, 2], 0.0)
+            down = transport.irradiance(lit.scene, chart_depth, None).Ed.value
+            through = jnp.exp(-lit.water.c[None, :] * distance[:count, None])
+            arriving = down * share[:, None] * through
         patches = [i for i, r in enumerate(readings.ray) if r < count]
         owner = jnp.asarray([readings.ray[i] for i in patches])
         seen = readings.reflectance[: len(patches)] / jnp.pi * arriving[owner]

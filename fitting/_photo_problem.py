@@ -35,6 +35,8 @@ from fitting.sampling import AbstractProblem
 from fitting.solve import Optimum, least_squares
 from oceaninv.transport.base import AbstractTransport
 
+_LAMP_EVENNESS = 0.1
+
 
 class PhotoProblem(AbstractProblem):
     """The posterior of photographs of one water.
@@ -116,6 +118,9 @@ def _unknowns(photos: Sequence[Photo], matrix: bool) -> Parameters:
         ]
     if any(photo.exposure is not None for photo in photos):
         unknowns += [Parameter(f"gain_{c}", 1.0, None, nuisance=True) for c in "RGB"]
+    if any(photo.lamp for photo in photos):
+        # From where on the lamp lights the line of sight: its arm and its cone.
+        unknowns.append(Parameter("blind", 0.2, 0.7, Log(), "m", True))
     for p, photo in enumerate(photos):
         unknowns += _of_frame(p, photo)
     return Parameters(unknowns)
@@ -128,7 +133,9 @@ def _of_frame(p: int, photo: Photo) -> list[Parameter]:
     else:
         found.append(Parameter(f"exposure_{p}", 1.0, photo.exposure_sd, nuisance=True))
     for k, chart in enumerate(photo.charts):
-        found.append(Parameter(f"chart_{p}_{k}", 1.0, 1.0, nuisance=True))
+        # A lamp lights charts by the square of their distance, but for its cone and their tilt.
+        spread = _LAMP_EVENNESS if photo.lamp else 1.0
+        found.append(Parameter(f"chart_{p}_{k}", 1.0, spread, nuisance=True))
         if chart.distance_sd > 0:
             found.append(Parameter(f"range_{p}_{k}", 1.0, chart.distance_sd, nuisance=True))
     if photo.pixels is not None:

@@ -114,8 +114,7 @@ def read_chart(
             "corners must go around the chart: top left, top right, bottom right, bottom left."
         )
     values, sd, spoiled, pixels, outline = _read(photograph, corners, chart, window)
-    found = [_agreement(_read(photograph, corners[list(o)], chart, window)[0], chart)
-             for o in _ORDERS]  # fmt: skip
+    found = agreements(photograph, [corners[list(order)] for order in _ORDERS], chart, window)
     best = int(np.argmax(found))
     if found[best] > found[0] + 1e-9:
         raise ValueError(
@@ -125,6 +124,13 @@ def read_chart(
         )
     clipped = _clipped(values, spoiled, chart)
     return ChartReading(chart, corners, values, sd, clipped, pixels, outline, found[0])
+
+
+def agreements(
+    photograph: Photograph, places: Sequence[np.ndarray], chart: Target, window: float = 0.5
+) -> list[float]:
+    """Rank correlation with the chart's known values of what is read at each set of corners."""
+    return [_agreement(_read(photograph, c, chart, window)[0], chart) for c in places]
 
 
 def _perspective(corners: np.ndarray) -> np.ndarray:
@@ -238,20 +244,25 @@ def table_of(
     photograph: Photograph,
     charts: Sequence[tuple[str, str, float, ChartReading]],
     windows: Sequence[tuple[float, float, float, float, float]],
-    zenith: float,
+    zenith: float | Sequence[float],
     camera: str | None = None,
+    lamp: bool = False,
 ) -> str:
     """Readings as the csv that `fitting.readers.read_photo` reads.
 
     `charts`: (name, kind, range in m, reading); `windows` of open water: (x0, y0, x1, y1, zenith);
-    `camera`: None takes that of the file, if its response is known.  What the file says about
-    exposure and flash is passed on.
+    `zenith`: of the lines of sight to the charts, degrees, one for all or one of each (10 degrees
+    change the veil before a chart by some 10 %);
+    `camera`: None takes that of the file, if its response is known; `lamp`: lit by a lamp at the
+    camera.  What the file says about exposure and flash is passed on.
     """
     facts = [f"# camera: {camera or photograph.camera or 'generic'}"]
     if photograph.exposure is not None:
         facts.append(f"# relative_exposure: {photograph.exposure:.6g}")
     if photograph.flash is not None:
         facts.append(f"# flash: {'fired' if photograph.flash else 'not fired'}")
+    if lamp:
+        facts.append("# light: lamp")
     lines = [
         f"# title: Readings of charts and open water in {Path(photograph.source).name}",
         "# units: kind=text, chart=text, target=text, range=m, zenith=degree, *=1",
@@ -262,12 +273,13 @@ def table_of(
     def numbers(values):
         return ",".join(f"{v:.6g}" for v in values)
 
-    for name, kind, distance, reading in charts:
+    zeniths = np.broadcast_to(np.asarray(zenith, dtype=float), (len(charts),))
+    for (name, kind, distance, reading), tilt in zip(charts, zeniths, strict=True):
         for i, kept in enumerate(reading.kept):
             grey = reading.target.brightness[i]
             cells = numbers([*reading.values[i], *reading.sd[i]])
             lines.append(
-                f"chart,{name},{kind},{i + 1},{grey:.4f},{distance:.4g},{zenith:g},{cells},"
+                f"chart,{name},{kind},{i + 1},{grey:.4f},{distance:.4g},{tilt:g},{cells},"
                 f"{reading.pixels[i]},{int(not kept)}"
             )
     rows, columns = photograph.values.shape[:2]

@@ -36,7 +36,8 @@ def write_html(fit: Fit, path: str | Path, pictures: Sequence[tuple[str, str | P
         for name, shifts in fit.sensitivity.items()
     )
     facts = "".join(
-        f"<tr><td>{html.escape(str(k))}</td><td>{html.escape(str(v))}</td></tr>"
+        f"<tr><td>{html.escape(k.replace('_', ' '))}</td><td style='text-align:left'>"
+        f"{html.escape(f'{v:.3g}' if isinstance(v, float) else str(v))}</td></tr>"
         for k, v in fit.metadata.items()
     )
     with tempfile.TemporaryDirectory() as folder:

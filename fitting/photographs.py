@@ -3,10 +3,13 @@
 import dataclasses
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from jaxtyping import Bool, Float
+
+if TYPE_CHECKING:
+    from fitting.readings import Pixels
 
 _RAW = {".nef", ".cr2", ".cr3", ".arw", ".dng", ".orf", ".raf", ".rw2", ".pef", ".srw"}
 _JPEG = {".jpg", ".jpeg"}
@@ -224,6 +227,22 @@ def read_range(path: str | Path, shape: tuple[int, int]) -> Float[np.ndarray, "r
         for n, have in zip(shape, values.shape, strict=True)
     )
     return values[np.ix_(rows, columns)]
+
+
+def pixels_of(photograph: Photograph, distance: Any, **rest: Any) -> "Pixels":
+    """All usable pixels of a photograph that have a range, as things of unknown reflectance.
+
+    `distance`: (row, column) metres, NaN where missing (`read_range`); `rest` as in `Pixels`.
+    """
+    from fitting.readings import Pixels
+
+    distance = np.asarray(distance, dtype=np.float64)
+    if distance.shape != photograph.values.shape[:2]:
+        raise ValueError(
+            f"distance has shape {distance.shape}, the photograph {photograph.values.shape[:2]}."
+        )
+    usable = np.isfinite(distance) & photograph.mask.all(axis=2)
+    return Pixels(photograph.values[usable], distance[usable], **rest)
 
 
 def _read_npz(path: Path) -> np.ndarray:

@@ -11,7 +11,7 @@ import numpy as np
 import oceaninv as oi
 from fitting._photo_model import WAVELENGTH
 from fitting.observations import Profile
-from fitting.readings import Background, Chart, Photo
+from fitting.readings import Background, Chart, Photo, Pixels
 
 
 @dataclasses.dataclass(frozen=True)
@@ -124,6 +124,7 @@ def read_photo(
     azimuth: float | None = None,
     field_noise: float = 0.03,
     response_shift: float = 0.0,
+    pixels: Pixels | None = None,
 ) -> tuple[Photo, int]:
     """Chart and background readings of one photograph, and how many rows were left out as clipped.
 
@@ -134,15 +135,17 @@ def read_photo(
     relative scatter that is added to the stated standard deviations (caustics, unevenness).
     `camera`: a name of the response table, "generic", or None for the header's `camera`.
     `solar_zenith` and `azimuth` (degrees, 180 with the sun behind the camera): None takes the
-    header's, else 40 and 90.  `response_shift` as in `Photo`.
+    header's, else 40 and 90.  `response_shift` and `pixels` as in `Photo`.
 
     Header `relative_exposure`: time (s) x ISO/100 / f-number^2, by which photographs of one camera
-    share its gains.  ValueError where the header says `flash: fired`.
+    share its gains.  `light: lamp`: a lamp at the camera lit the charts.  Without that line
+    ValueError where the header says `flash: fired`.
     """
     from fitting.verdicts import FLASH
 
     sheet = read_sheet(path)
-    if sheet.header.get("flash") == "fired":
+    lamp = sheet.header.get("light") == "lamp"
+    if sheet.header.get("flash") == "fired" and not lamp:
         raise ValueError(f"{sheet.path}: {FLASH}.")
     channels = ["R", "G", "B"]
     sheet.require(
@@ -187,6 +190,7 @@ def read_photo(
         photo = Photo(
             charts,
             backgrounds,
+            pixels,
             depth=depth,
             depth_sd=depth_sd,
             response=response,
@@ -195,6 +199,7 @@ def read_photo(
             azimuth=header_number(sheet, "azimuth", azimuth, 90.0),
             exposure=header_number(sheet, "relative_exposure", None, None),
             source=str(path),
+            lamp=lamp,
         )
     except ValueError as error:
         raise ValueError(f"{sheet.path}: {error}") from None

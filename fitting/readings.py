@@ -166,6 +166,8 @@ class Photo:
       what their line of sight descends.
     - `depth_sd`: relative standard deviation of `depth`.
     - `solar_zenith`: degrees in air.
+    - `lamp`: whether a lamp at the camera, and no daylight, lit what is seen: its light falls off
+      with the square of the distance and returns by single scattering.
     - `azimuth`: degrees between the camera's heading and the sun's, 0 looking towards the sun.
     - `source`: for reports.
 
@@ -186,6 +188,7 @@ class Photo:
     exposure: float | None
     exposure_sd: float
     response_shift: float
+    lamp: bool
 
     def __init__(
         self,
@@ -202,6 +205,7 @@ class Photo:
         solar_zenith: Any = 40.0,
         azimuth: Any = 90.0,
         source="memory",
+        lamp=False,
     ):
         charts, backgrounds = tuple(charts), tuple(backgrounds)
         channels = 3
@@ -225,6 +229,8 @@ class Photo:
             raise ValueError(
                 f"exposure and exposure_sd must be positive, not {exposure} and {exposure_sd}."
             )
+        if lamp and pixels is not None:
+            raise ValueError("pixels of unknown reflectance are for daylight; leave them out.")
         if usable < 3 and pixels is None:
             raise ValueError(
                 f"{usable} of {total} readings are usable (finite and positive); at least 3 are "
@@ -244,5 +250,6 @@ class Photo:
             ("exposure", None if exposure is None else float(exposure)),
             ("exposure_sd", float(exposure_sd)),
             ("response_shift", float(response_shift)),
+            ("lamp", bool(lamp)),
         ):
             object.__setattr__(self, key, value)

@@ -15,6 +15,7 @@ from fitting.photographs import Photograph
 from fitting.posterior import Fit
 
 _RANGES = 48
+_TILTS = 7
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -27,11 +28,25 @@ class Restored:
       what reflectances of 0-1 can look like: negative where the fitted veil is brighter than the
       picture, positive where the surface is brighter than white; the channel that is furthest off.
     - `noise`: (row, column) what the noise was amplified by, in the worst channel.
+    - `veil`: (channel,) share of the fitted veil that was taken off: 1, or less where the darkest
+      pixels of the picture are darker than the fitted veil at their range.
     """
 
     reflectance: Float[np.ndarray, "row column 3"]
     residual: Float[np.ndarray, "row column"]
     noise: Float[np.ndarray, "row column"]
+    veil: Float[np.ndarray, "3"]
+
+    def sentence(self) -> str | None:
+        """What the darkest pixels say about the fitted veil; None where they do not object."""
+        if self.veil.min() > 0.9:
+            return None
+        shares = ", ".join(f"{100 * share:.0f}" for share in self.veil)
+        return (
+            f"the darkest pixels leave room for {shares} % (R, G, B) of the fitted veil, no more "
+            "was taken off: what they show is in shade, or the water is clearer than fitted (small "
+            "charts read too little contrast, in blur and glare)"
+        )
 
     def save(self, stem: str | Path) -> list[Path]:
         """Write STEM_restored.exr, STEM_restored.png and STEM_residual.png; returns their paths."""
@@ -70,7 +85,13 @@ class Restored:
 
 
 def restore(
-    fit: Fit, photograph: Photograph, distance: Any, *, photo: int = 0, zenith: float = 90.0
+    fit: Fit,
+    photograph: Photograph,
+    distance: Any,
+    *,
+    photo: int = 0,
+    zenith: Any = 90.0,
+    dark: float = 0.01,
 ) -> Restored:
     """Take the fitted water out of a photograph.
 
@@ -79,10 +100,14 @@ def restore(
     - `fit`: of readings of this photograph (the same file and development: its gains count).
     - `distance`: (row, column) range in metres, NaN where missing (`fitting.read_range`).
     - `photo`: which of the fit's photographs it is.
-    - `zenith`: direction of the lines of sight, degrees: one for the whole picture.
+    - `zenith`: direction of the lines of sight, degrees: one for the whole picture, or (row,
+      column), or (row, 1).
+    - `dark`: share of pixels that may be darker than what is subtracted, 0-1.  Water in front of
+      shaded things is less lit than the open water of the fit, whose whole veil would leave black
+      holes: each channel's veil is lowered by one factor until this share is below it.  1: never.
 
     Of every pixel the path radiance at its range is subtracted and the rest divided by what a
-    white surface at that range would send; a colour matrix, if fitted, is undone before.
+    white surface at that range would send; a colour matrix, if fitted, is undone.
 
     Raises ValueError when the fit keeps no problem or the shapes differ.
     """
@@ -97,28 +122,51 @@ def restore(
         )
     if not 0 <= photo < len(problem.readings):
         raise ValueError(f"photo is {photo}; the fit has {len(problem.readings)}.")
+    if not 0 <= dark <= 1:
+        raise ValueError(f"dark is {dark:g}; a share between 0 and 1 wanted.")
+    if problem.readings[photo].lamp:
+        raise ValueError("pictures lit by a lamp are not restored; only daylight is modelled.")
     known = np.isfinite(distance) & (distance > 0)
     if not known.any():
         raise ValueError("distance holds no range.")
     ranges = np.geomspace(distance[known].min(), distance[known].max() * (1 + 1e-9), _RANGES)
-    veil, white, output = (
-        np.asarray(part)
-        for part in _along(problem, jnp.asarray(fit.x), jnp.asarray(ranges), photo, zenith)
-    )
-    camera = values @ np.linalg.inv(output).T
+    tilt = np.asarray(zenith, dtype=np.float64)
+    if tilt.ndim not in (0, 2) or not np.all((tilt >= 0) & (tilt <= 180)):
+        raise ValueError(
+            f"zenith must be degrees between 0 and 180, one or (row, column), not {zenith!r}."
+        )
+    tilt = np.broadcast_to(tilt, distance.shape)
+    nodes = np.linspace(tilt.min(), tilt.max(), _TILTS if np.ptp(tilt) > 0.5 else 1)
     at = np.where(known, distance, ranges[0])
-    path = np.stack([np.interp(at, ranges, veil[:, c]) for c in range(3)], axis=-1)
-    full = np.exp(np.stack([np.interp(at, ranges, np.log(white[:, c])) for c in range(3)], axis=-1))
+    path, bright, output = np.zeros(values.shape), np.zeros(values.shape), np.eye(3)
+    for node in nodes:
+        veil, white, output = (
+            np.asarray(part)
+            for part in _along(
+                problem, jnp.asarray(fit.x), jnp.asarray(ranges), photo, jnp.asarray(node)
+            )
+        )
+        # Linear between nodes: the share of this one.
+        apart = np.abs(tilt - node) / (nodes[1] - nodes[0]) if len(nodes) > 1 else np.zeros((1, 1))
+        share = np.clip(1.0 - apart, 0.0, 1.0)[:, :, None]
+        path += share * np.stack([np.interp(at, ranges, v) for v in veil.T], axis=-1)
+        bright += share * np.stack([np.interp(at, ranges, np.log(w)) for w in white.T], axis=-1)
+    camera, full = values @ np.linalg.inv(output).T, np.exp(bright)
     found = np.where(known[:, :, None], (camera - path) / full, np.nan)
     off = (found - np.clip(found, 0.0, 1.0)) * full / np.maximum(camera, 1e-12)
+    # Judged and lowered in the file's channels: there dark is dark, whatever the matrix.
+    seen = path @ output.T
+    share = np.clip(np.nanquantile((values / seen)[known], dark, axis=0), 0.0, 1.0)
+    lowered = (values - share * seen) @ np.linalg.inv(output).T
+    reflectance = np.where(known[:, :, None], lowered / full, np.nan)
     worst = np.argmax(np.abs(np.nan_to_num(off)), axis=-1)[:, :, None]
     residual = np.take_along_axis(off, worst, axis=-1)[:, :, 0]
     noise = np.where(known, np.max(camera / full, axis=-1), np.inf)
-    return Restored(found, residual, noise)
+    return Restored(reflectance, residual, noise, share)
 
 
 @eqx.filter_jit
-def _along(problem, x, ranges, photo: int, zenith: float):
+def _along(problem, x, ranges, photo: int, zenith):
     """(range, channel) path radiance and light of a white surface, and the output matrix."""
     values = problem.layout.values(x)
     readings = problem.readings[photo]
@@ -126,9 +174,9 @@ def _along(problem, x, ranges, photo: int, zenith: float):
     # Of all rays of a photograph the azimuth is that of its readings.
     first = readings.direction[0] if len(readings.ray) else readings.pixels.direction
     around = jnp.arctan2(first[1], first[0])
-    tilt = np.radians(zenith)
+    tilt = jnp.radians(zenith)
     way = jnp.stack([jnp.sin(tilt) * jnp.cos(around), jnp.sin(tilt) * jnp.sin(around),
-                     jnp.asarray(-np.cos(tilt), x.dtype)])  # fmt: skip
+                     -jnp.cos(tilt)])  # fmt: skip
     zero = jnp.zeros((), x.dtype)
     rays = oi.Rays(
         jnp.stack([zero, zero, lit.depth]), jnp.broadcast_to(way, (len(ranges), 3)), ranges

@@ -16,7 +16,10 @@ _ZEROED, _FULL = 0.05, 0.01
 # Ranges (m) outside of which a photograph's median is not believed, and the share of missing ones.
 _NEAREST, _FURTHEST, _MISSING = 0.05, 100.0, 0.5
 
-FLASH = "a flash fired: natural-light fits do not apply to what it lit; leave that out"
+FLASH = (
+    "a flash fired: natural-light fits do not apply to what it lit; where it sat at the camera and "
+    "lit all, read the charts with --lamp"
+)
 
 # Whether it passed, and a sentence: what was found and, where it did not pass, what to do.
 Verdict = tuple[bool, str]

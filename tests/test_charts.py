@@ -136,7 +136,12 @@ def test_the_command_writes_what_the_fit_reads(tmp_path, capsys):
     assert read.charts[0].distance == 2.5
     assert read.backgrounds[0].zenith.tolist() == [95.0]
     np.testing.assert_allclose(read.backgrounds[0].values, 0.02, rtol=3e-3)
+    again = ["--chart", f"far ColorChecker24 4 {corners}", "--zenith", "92", "--zenith", "97"]
+    assert cli.run([*arguments, *chart, *again]) == 0
+    read, _ = read_photo(tmp_path / "out.csv", 5.0)
+    assert [one.zenith for one in read.charts] == [92.0, 97.0]
     for bad in (
+        [*chart, "--zenith", "80", "--zenith", "90"],
         [*chart, "--background", "100,0 20,10"],
         ["--chart", "near ColorChecker24 2.5 1,2 3,4"],
         ["--chart", f"near ColorChecker24 map {corners}"],
@@ -144,6 +149,40 @@ def test_the_command_writes_what_the_fit_reads(tmp_path, capsys):
         again = ["read-charts", str(file), "-o", str(tmp_path / "bad"), *bad]
         assert cli.run(again) == 3
         assert not (tmp_path / "bad.csv").exists()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("turn", [0, 1, 2])
+def test_a_chart_is_found_in_any_orientation(turn, tmp_path, capsys):
+    pytest.importorskip("colour_checker_detection", exc_type=ImportError)
+    from fitting.detection import find_charts
+
+    chart = target("ColorChecker24")
+    weights = np.asarray(oi.spectrum.generic_camera().weights(WAVELENGTH))
+    values = chart.reflectance @ (weights / weights.sum(axis=1)[:, None]).T
+    picture = np.full((480, 640, 3), 0.15)
+    picture[80:380, 100:540] = 0.03  # the board, with gaps of 10 pixels between patches
+    for k, value in enumerate(values):
+        row, column = 90 + 72 * (k // 6), 110 + 71 * (k % 6)
+        picture[row : row + 62, column : column + 61] = value
+    picture = picture * np.array([0.3, 1.0, 0.9])  # water
+    picture *= 1 + 0.005 * np.random.default_rng(0).standard_normal(picture.shape)
+    picture = np.ascontiguousarray(np.rot90(picture, turn))
+    photo = Photograph(picture, picture < 1, 0.0, 0.0, {}, "painted")
+    (corners,) = find_charts(photo)
+    found = read_chart(photo, corners, "ColorChecker24")
+    np.testing.assert_allclose(found.values, values * np.array([0.3, 1.0, 0.9]), rtol=0.03)
+    with pytest.raises(ValueError, match=r"(mirrored|turned)"):
+        read_chart(photo, corners[::-1], "ColorChecker24")
+    empty = dataclasses.replace(photo, values=np.full_like(picture, 0.2))
+    with pytest.raises(ValueError, match="no ColorChecker of 24 patches"):
+        find_charts(empty)
+    file = write(tmp_path / "a.png", picture, "uint16")
+    command = ["read-charts", str(file), "-o", str(tmp_path / "out"), "--chart"]
+    assert cli.run([*command, "a ColorChecker24 2 find"]) == 0
+    assert "24 of 24 patches kept" in capsys.readouterr().out
+    assert cli.run([*command, "a DGK18 2 find"]) == 3
+    assert "only ColorChecker24 can be found" in capsys.readouterr().err
 
 
 @pytest.mark.skipif(not FRAME.exists(), reason="shared photographs are not here")

@@ -53,6 +53,23 @@ def test_fit_photo_reports_intervals_on_the_real_frame(tmp_path, capsys):
         assert 0.15 < float(data.c_550_low) < float(data.c_550_high) < 0.6
 
 
+@pytest.mark.slow
+def test_photographs_at_two_depths_share_the_camera_by_their_exposures(tmp_path, capsys):
+    text = (SCENES / "red_sea_charts.csv").read_text()
+    files = []
+    for name, exposure in (("a.csv", 1e-4), ("b.csv", 2e-4)):
+        (tmp_path / name).write_text(f"# relative_exposure: {exposure}\n{text}")
+        files.append(str(tmp_path / name))
+    depths = ["--depth", "5+-2", "--depth", "8+-2"]
+    assert cli.run(["fit-photo", *files, *depths, "-o", str(tmp_path / "two")]) == 0
+    assert "left out: 10 clipped rows" in capsys.readouterr().out
+    with xr.open_dataset(tmp_path / "two.nc") as data:
+        names = data.parameter.values.tolist()
+        assert {"gain_R", "exposure_0", "exposure_1", "depth_1", "chart_1_3"} <= set(names)
+        assert "gain_0_R" not in names
+        assert 0.15 < float(data.c_550) < 0.6
+
+
 @pytest.mark.parametrize(
     ("arguments", "sentence"),
     [
@@ -68,6 +85,12 @@ def test_fit_photo_reports_intervals_on_the_real_frame(tmp_path, capsys):
         (["fit-photo", CAST, "--depth", "-3+-1"], "must be positive"),
         (["fit-photo", CAST, "--depth", "5", "--know", "cdom=0.1"], "write name=value+-sd"),
         (["fit-photo", CAST, "--depth", "5", "--robust", "-1"], "--robust is -1"),
+        (["fit-photo", CAST, CAST, *["--depth", "5"] * 3], "given 3 times for 2 photographs"),
+        (["fit-photo", CAST, "--depth", "5", "--pixels"], "needs --picture and --range-map"),
+        (
+            ["fit-photo", CAST, CAST, "--depth", "5", "--picture", "a.png", "--range-map", "a.exr"],
+            "--picture belongs to one photograph",
+        ),
     ],
 )
 def test_bad_input_ends_with_a_sentence_and_code_3(

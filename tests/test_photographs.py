@@ -8,6 +8,7 @@ import OpenImageIO as oiio
 import pytest
 
 from fitting import read_photograph, read_range
+from fitting.photographs import pixels_of
 
 RNG = np.random.default_rng(4)
 IMAGE = RNG.uniform(0.05, 0.9, (12, 16, 3))
@@ -235,3 +236,15 @@ def test_ranges_of_another_size_and_missing_ones(tmp_path):
     bad.write_bytes(b"16&12&1&1234")
     with pytest.raises(ValueError, match="cut short"):
         read_range(bad, (12, 16))
+
+
+def test_pixels_with_a_range_are_readings(tmp_path):
+    image, distance = IMAGE.copy(), RANGE.copy()
+    image[0, :4], distance[1, :3] = 1.0, np.nan
+    photo = read_photograph(write(tmp_path / "a.png", image, "uint16"))
+    seen = pixels_of(photo, distance, surfaces=50.0, zenith=100.0)
+    assert seen.values.shape == (12 * 16 - 7, 3)
+    assert (seen.surfaces, seen.zenith, seen.masked) == (50.0, 100.0, 0)
+    np.testing.assert_allclose(seen.distance[-1], RANGE[-1, -1])
+    with pytest.raises(ValueError, match=r"distance has shape \(3, 3\)"):
+        pixels_of(photo, np.ones((3, 3)))

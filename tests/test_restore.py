@@ -50,7 +50,21 @@ def test_the_water_comes_out_of_a_picture(tmp_path):
     thick = dataclasses.replace(
         fitted(), x=fitted().x + 0.5 * np.array([n.startswith("veil") for n in fitted().value])
     )
-    assert np.nanmin(restore(thick, picture, distance).residual) < -0.15
+    over = restore(thick, picture, distance)
+    assert np.nanmin(over.residual) < -0.15
+    # The darkest pixels say so, and no more is taken off than they hold.
+    np.testing.assert_array_equal(found.veil, 1.0)
+    assert found.sentence() is None
+    assert 0.5 < over.veil.max() < 0.9
+    assert "leave room for" in str(over.sentence())
+    assert np.mean(over.reflectance < 0) < 0.02
+    # One direction a row: the rows of this picture look alike, so only the grid differs.
+    rows = restore(fitted(), picture, distance, zenith=np.linspace(88.0, 92.0, 10)[:, None])
+    np.testing.assert_allclose(rows.reflectance[4:6], found.reflectance[4:6], rtol=0.02, atol=0.01)
+    assert np.nanmax(np.abs(rows.reflectance[0] - found.reflectance[0])) > 1e-4
+    with pytest.raises(ValueError, match="zenith must be degrees"):
+        restore(fitted(), picture, distance, zenith=200.0)
+    assert np.mean(restore(thick, picture, distance, dark=1.0).reflectance < 0) > 0.05
     exr, png, residual = found.save(tmp_path / "out")
     back = np.asarray(oiio.ImageBuf(str(exr)).get_pixels(oiio.FLOAT))
     np.testing.assert_allclose(back, found.reflectance, rtol=1e-6)

@@ -12,7 +12,8 @@ def read_charts_command(
         list[str],
         typer.Option(
             help='One chart, as "A DGK18 4.65 x,y x,y x,y x,y": name, kind (ColorChecker24, DGK18 '
-            "or a csv), range in m (or map), corners from its own top left, clockwise."
+            "or a csv), range in m (or map), corners from its own top left, clockwise; or the word "
+            '"find" instead of corners (ColorChecker24, largest first).'
         ),
     ],
     output: Annotated[
@@ -22,11 +23,19 @@ def read_charts_command(
         list[str] | None,
         typer.Option(help='Window of open water, as "x0,y0 x1,y1" or "x0,y0 x1,y1 zenith".'),
     ] = None,
-    zenith: Annotated[float, typer.Option(help="Line of sight, degrees; 90 is horizontal.")] = 90.0,
+    zenith: Annotated[
+        list[float] | None,
+        typer.Option(
+            help="Line of sight, degrees, 90 (horizontal) if not given; once, or once a chart."
+        ),
+    ] = None,
     range_map: Annotated[Path | None, typer.Option(help="Range map of the photograph.")] = None,
     encoding: Annotated[
         str | None, typer.Option(help="linear or sRGB, for files that do not say.")
     ] = None,
+    lamp: Annotated[
+        bool, typer.Option("--lamp", help="A lamp at the camera, no daylight, lit what is seen.")
+    ] = False,
     camera: Annotated[
         str | None, typer.Option(help="Camera by name, or generic; unless given, the file's.")
     ] = None,
@@ -41,17 +50,35 @@ def read_charts_command(
     ranges = None
     if range_map is not None:
         ranges = read_range(range_map, photograph.values.shape[:2])
-    readings, rows = [], []
+    tilts = zenith or [90.0]
+    if len(tilts) not in (1, len(chart)):
+        raise ValueError(
+            f"--zenith is given {len(tilts)} times for {len(chart)} charts: give it once, or once "
+            "each."
+        )
+    readings, rows, places = [], [], None
     for text in chart:
         name, kind, distance, corners = _chart(text)
+        if corners is None:
+            from fitting.detection import find_charts
+
+            places = find_charts(photograph) if places is None else places
+            if kind != "ColorChecker24" or not places:
+                raise ValueError(
+                    f"--chart is {text!r}: only ColorChecker24 can be found, and no more than are "
+                    "in the picture; give the corners."
+                )
+            corners = places.pop(0)
         reading = read_chart(photograph, corners, kind)
         if distance is None:
             distance = _median(ranges, reading.outline, text)
         readings.append(reading)
         rows.append((name, kind, distance, reading))
         print(f"{name} at {distance:.2f} m: {reading.sentence()}")
-    windows = [_window(text, zenith) for text in background or ()]
-    content = table_of(photograph, rows, windows, zenith, camera)
+    windows = [_window(text, tilts[0]) for text in background or ()]
+    content = table_of(
+        photograph, rows, windows, tilts if len(tilts) > 1 else tilts[0], camera, lamp
+    )
     from fitting.report import whole
 
     data, image = (output.with_name(output.name + end) for end in (".csv", ".png"))
@@ -68,13 +95,13 @@ def _point(text: str) -> tuple[float, float]:
 
 
 def _chart(text: str):
-    """(name, kind, range or None, corners) of one --chart."""
+    """(name, kind, range or None, corners or None) of one --chart."""
     parts = text.split()
     try:
         name, kind, distance = parts[:3]
-        corners = [_point(p) for p in parts[3:]]
+        corners = None if parts[3:] == ["find"] else [_point(p) for p in parts[3:]]
         metres = None if distance == "map" else float(distance)
-        if len(corners) != 4:
+        if corners is not None and len(corners) != 4:
             raise ValueError
     except ValueError:
         raise ValueError(

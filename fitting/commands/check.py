@@ -67,7 +67,7 @@ def _charts(path: Path) -> list[tuple[bool, str]]:
     if grey.size and grey.max() > 1.5:
         lines.append((False, f"reflectances up to {grey.max():.3g} look like per cent: divide "
                       "them by 100"))  # fmt: skip
-    if sheet.header.get("flash") == "fired":
+    if sheet.header.get("flash") == "fired" and sheet.header.get("light") != "lamp":
         lines.append((False, FLASH))
     return lines
 

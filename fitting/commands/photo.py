@@ -17,8 +17,14 @@ from fitting.commands.common import (
 
 
 def fit_photo_command(
-    path: Annotated[Path, typer.Argument(help="csv of chart and background readings.")],
-    depth: Annotated[str, typer.Option(help="Depth of the camera in m, as 5 or 5+-2.")],
+    paths: Annotated[
+        list[Path],
+        typer.Argument(help="csv of chart and background readings, one of each photograph."),
+    ],
+    depth: Annotated[
+        list[str],
+        typer.Option(help="Depth of the camera in m, as 5 or 5+-2; once, or once a photograph."),
+    ],
     output: Output = None,
     camera: Annotated[
         str | None, typer.Option(help='Camera by name; "generic" if unknown.')
@@ -47,6 +53,9 @@ def fit_photo_command(
         Path | None, typer.Option("--picture", help="The photograph itself, to take its water out.")
     ] = None,
     range_map: Annotated[Path | None, typer.Option(help="Range map of --picture.")] = None,
+    pixels: Annotated[
+        bool, typer.Option("--pixels", help="Fit what is seen in --picture, too, unknown as it is.")
+    ] = False,
     encoding: Annotated[
         str | None, typer.Option(help="linear or sRGB, for a --picture that does not say.")
     ] = None,
@@ -57,35 +66,54 @@ def fit_photo_command(
         bool, typer.Option(help="Draw from the posterior (NUTS; minutes, needs blackjax).")
     ] = False,
 ) -> None:
-    """Fit the water's constituents to readings of charts and open water in a photograph."""
+    """Fit the water's constituents to readings of charts and open water in photographs."""
     from fitting import fit_photo
     from fitting import sample as draw
+    from fitting.photographs import pixels_of
     from fitting.readers import read_photo
     from fitting.report import picture, save
 
-    metres, relative = _depth(depth)
+    depths = [_depth(text) for text in depth]
+    if len(depths) not in (1, len(paths)):
+        raise ValueError(
+            f"--depth is given {len(depths)} times for {len(paths)} photographs: give it once, or "
+            "once each."
+        )
+    if len(paths) > 1 and picture_of is not None:
+        raise ValueError("--picture belongs to one photograph: fit it alone to take its water out.")
     known = dict(_known(text) for text in know or ())
     if robust is not None and not robust > 0:
         raise ValueError(f"--robust is {robust:g}; a positive number wanted.")
-    photo, clipped = read_photo(
-        path, metres, relative, camera, solar_zenith, azimuth, response_shift=response_shift
-    )
     shown = _shown(picture_of, range_map, encoding)
+    scenery = None
+    if pixels:
+        if shown is None:
+            raise ValueError("--pixels needs --picture and --range-map.")
+        scenery = pixels_of(*shown)
+    read = [
+        read_photo(
+            path, *place, camera, solar_zenith, azimuth, response_shift=response_shift,
+            pixels=scenery,
+        )
+        for path, place in zip(paths, depths * (len(paths) // len(depths)), strict=True)
+    ]  # fmt: skip
+    photos, clipped = [photo for photo, _ in read], sum(count for _, count in read)
+    masked = sum(photo.masked for photo in photos)
     preload()
     with status("fitting constituents (the first run compiles)"):
-        fit = fit_photo(photo, matrix=matrix, know=known, robust=robust, tolerance=tolerance)
+        fit = fit_photo(photos, matrix=matrix, know=known, robust=robust, tolerance=tolerance)
     if sample:
         with status("sampling the posterior (minutes)"):
             fit = draw(fit)
-    if clipped or photo.masked:
-        print(f"left out: {clipped} clipped rows, {photo.masked} missing or non-positive values")
+    if clipped or masked:
+        print(f"left out: {clipped} clipped rows, {masked} missing or non-positive values")
     factor = fit.metadata["noise_factor"]
     if factor > 1.0:
         print(f"readings scatter {factor:.1f} x as much as their noise says: intervals widened")
     print_water(fit)
-    stem = output or Path(path.stem)
+    stem = output or Path(paths[0].stem)
     finish(stem, lambda p: save(p, fit), lambda p: picture(fit, p))
-    pictures = [] if shown is None else _without_water(fit, photo, shown, stem)
+    pictures = [] if shown is None else _without_water(fit, photos[0], shown, stem)
     if report:
         from fitting.html import write_html
 
@@ -114,6 +142,8 @@ def _without_water(fit, photo, shown, stem: Path) -> list[tuple[str, Path]]:
     views = [float(chart.zenith) for chart in photo.charts]
     restored = restore(fit, photograph, ranges, zenith=sum(views) / len(views) if views else 90.0)
     exr, png, residual = restored.save(stem)
+    if said := restored.sentence():
+        print(said)
     print(f"wrote {exr}, {png} and {residual}")
     return [("Without the water", png), ("Where the fitted water does not suit", residual)]
 
