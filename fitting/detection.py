@@ -24,7 +24,9 @@ def find_charts(photograph: Photograph) -> list[Float[np.ndarray, "4 2"]]:
     Raises ValueError where the extra is not installed or no chart is found.
     """
     try:
-        from colour_checker_detection import detect_colour_checkers_segmentation as detect
+        from colour_checker_detection import (  # pyright: ignore[reportMissingImports]
+            detect_colour_checkers_segmentation as detect,
+        )
     except ImportError:
         raise ValueError(
             "finding charts needs colour-checker-detection: pip install 'oceaninv[detect]', or "
