@@ -72,7 +72,9 @@ def _excess(problem: PhotoProblem, optimum: Optimum, cov) -> tuple[float, float]
     size = sum(one.values.size for one in problem.readings)
     residual = np.asarray(optimum.residual)
     count = int(sum(int(one.mask.sum()) for one in problem.readings))
-    chi2 = float(np.sum(residual**2)) / max(count, 1)
+    # Residuals of pixels hold the determinant of their covariance: no misfit to be counted.
+    plain = all(one.pixels is None for one in problem.readings)
+    chi2 = float(np.sum(residual[: None if plain else size] ** 2)) / max(count, 1)
     slope = np.asarray(optimum.jacobian)[:size]
     spent = float(np.einsum("ri,ij,rj->", slope, np.asarray(cov), slope))
     free = count - spent
@@ -388,12 +390,8 @@ def _result(
     bias, spread = _bent(bend, cov)
     jerlov, away = nearest_jerlov(WAVELENGTH, quantities["Kd"])
     count = int(sum(int(one.mask.sum()) for one in readings))
-    # Residuals of pixels hold the determinant of their covariance: no misfit to be counted.
-    size = sum(one.values.size for one in readings)
-    plain = all(one.pixels is None for one in readings)
-    misfit = np.asarray(optimum.residual)[: None if plain else size]
     if stated is None:
-        stated = float(np.sum(misfit**2)) / max(count, 1)
+        stated = float(np.sum(np.asarray(optimum.residual) ** 2)) / max(count, 1)
     return Fit(
         parameters,
         np.asarray(optimum.x),
