@@ -11,8 +11,9 @@ Processor seconds of calls after the first (which compiles and is printed apart)
 - `batch`: `fit_photos` of 100 such charts, each of its own water, against one.
 
 Measured on one of two busy cores, for readings that scatter as stated: `charts` 0.26 s (first 56 s,
-compiling), 36 unknowns; `pixels` 0.93 s (first 92 s), c(550) known to 2 %.  Five fits side by side took 7.4 times one, so
-they now come one after the other; `batch` has not been run to its end since.
+compiling), 36 unknowns; `pixels` 0.93 s (first 92 s), c(550) known to 2 %.  Five
+fits side by side took 7.4 times one, so they now come one after the other; `batch` has not been run
+to its end since.
 """
 
 import sys
