@@ -1,15 +1,16 @@
-"""The posterior of a simulated photograph: importance sampling, then Metropolis steps.
+"""The posterior of a simulated photograph, by adaptive importance sampling.
 
-A posterior of C, a_y, a_d and the tie is a long curved valley, but given these four everything else
-(gains, exposures, ranges, light on charts) is nearly Gaussian.  So the four are drawn from a
-Student-t about the optimum, the rest from the Gaussian about its conditional optimum, which
-Gauss-Newton finds; weights put right what either lacks.  Where few draws hold the weight, weights
-are flattened until LEAST do.  Every draw then takes ROUNDS times STEPS Metropolis steps in the
-exact posterior (resample and move: Gilks & Berzuini 2001, Journal of the Royal Statistical Society
-B 63:127), which forget where they began:
-`settled` says whether spreads still change.  How heavy the tail of the weights is, by the shape k
-of a generalised Pareto (Vehtari et al. 2024, Journal of Machine Learning Research 25:72): below 0.7
-they could be trusted by themselves.
+Readings say the sums of absorption and scattering to a few per cent but hardly how they split: a
+posterior of C, a_y, a_d and the tie is a long curved valley, but given these four everything else
+(gains, exposures, ranges, light on charts) is nearly Gaussian.  So the rest is drawn from the
+Gaussian about its conditional optimum, which Gauss-Newton finds, and the four in coordinates
+v + ln v, v a concentration by its size: linear above that size, where readings are nearly linear in
+concentrations, logarithmic below, where priors are all there is.  They are drawn from a Student-t
+about the optimum, then, ROUNDS times, from kernels about what the draws so far, weighted, say (West
+1993, Journal of the Royal Statistical Society B 55:409).  Weights are the posterior by the mixture
+of all rounds' densities (Owen & Zhou 2000, Journal of the American Statistical Association 95:135).
+How heavy their tail is, by the shape k of a generalised Pareto (Vehtari et al. 2024, Journal of
+Machine Learning Research 25:72): below 0.7 they can be trusted.
 """
 
 from typing import NamedTuple
@@ -21,23 +22,29 @@ import numpy as np
 from fitting.solve import value_and_jacobian
 from tests.acceptance._photo_protocols import Setup, by_chunks
 
-# Draws in a block, blocks, draws kept; effective ones at the start; steps a round, rounds.
-BLOCK, BLOCKS, KEPT = 400, 3, 500
-LEAST, STEPS, ROUNDS = 200, 50, 3
+# Draws a round, rounds after the first, draws kept.
+BLOCK, ROUNDS, KEPT = 400, 5, 1000
+# Kernels, their width by the spread of all draws, least effective draws they are made from.
+_KERNELS, _WIDTH, _LEAST = 100, 0.5, 80
 _FREEDOM, _WIDER = 6.0, 1.3
+# ln (C^0.65, a_y, a_d, scattering of detritus) from ln (C, a_y, a_d, tie): absorption and
+# scattering are nearly linear in these.
+_LINEAR = np.array([[0.65, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 1, 1.0]])
+# Below about which each of them matters little beside the others' uncertainty.
+_SIZES = np.log([0.4, 0.03, 0.05, 0.1])
+_HARD = 4
 
 
 class Posterior(NamedTuple):
     """Draws (seed, draw, unknown) and of ln quantities (seed, draw, quantity), equally weighted;
-    effective number of draws and Pareto k of the weights by seed; by how much (ln) spreads changed
-    in the last round of steps, (seed, hard unknown); share of steps accepted."""
+    effective number of draws and Pareto k of the weights by seed; by how much spreads (ln) of the
+    four differ between the later rounds' draws and all, (seed, 4)."""
 
     x: np.ndarray
     logs: np.ndarray
     effective: np.ndarray
     shape: np.ndarray
     settled: np.ndarray
-    accepted: np.ndarray
 
 
 def _conditional(made: Setup, hard: int, seen, prior, mode, along, z, noise):
@@ -101,100 +108,117 @@ def pareto_shape(log_weights: np.ndarray) -> float:
     return float(np.mean(np.log1p(-best * excess)))
 
 
-def _student(rng, centre, root, count):
-    """(count, d) draws of a multivariate t, and the ln of its density up to a constant."""
-    d = len(centre)
-    scale = np.sqrt(_FREEDOM / rng.chisquare(_FREEDOM, (count, 1)))
-    u = rng.standard_normal((count, d)) * scale
-    log_q = -0.5 * (_FREEDOM + d) * np.log1p(np.sum(u**2, axis=1) / _FREEDOM)
-    return centre + u @ root.T, log_q
+def _straight(z):
+    """Straight coordinates of ln (C, a_y, a_d, tie), and ln of how much they stretch them."""
+    logs = z @ _LINEAR.T - _SIZES
+    return np.exp(logs) + logs, np.sum(np.log1p(np.exp(logs)), axis=-1)
 
 
-def sample(made: Setup, seen, prior, found, hard: int, seed: int = 3) -> Posterior:
-    """Posteriors of (seed, reading, channel) readings, about the optima `found` by `fit_all`.
-
-    `prior`: rows of the priors by seed; `hard`: how many unknowns, the first, are drawn about the
-    optimum.
-    """
-    seeds, unknown = found["x"].shape
-    rng, run = np.random.default_rng(seed), _program(made, hard)
-    covs = found["cov"][:, :hard, :hard]
-    along = found["cov"][:, hard:, :hard] @ np.linalg.inv(covs)
-    drawn = [
-        _student(rng, centre, _WIDER * np.linalg.cholesky(cov), BLOCKS * BLOCK)
-        for centre, cov in zip(found["x"][:, :hard], covs, strict=True)
-    ]
-    z, log_q = (np.stack(part) for part in zip(*drawn, strict=True))
-    noise = rng.standard_normal((*z.shape[:2], unknown - hard))
-    parts = [
-        by_chunks(run, seen, prior, found["x"], along, some, other)
-        for some, other in zip(
-            np.split(z, BLOCKS, axis=1), np.split(noise, BLOCKS, axis=1), strict=True
-        )
-    ]
-    w, ratio = (np.concatenate(part, axis=1) for part in zip(*parts, strict=True))
-    log_weight = np.where(np.isfinite(ratio), ratio - log_q, -np.inf)
-    weight = np.exp(log_weight - log_weight.max(axis=1, keepdims=True))
-    weight /= weight.sum(axis=1, keepdims=True)
-    x = np.concatenate([z, w], axis=2)
-    picks = np.stack([rng.choice(x.shape[1], KEPT, p=_annealed(row)) for row in log_weight])
-    x = np.take_along_axis(x, picks[:, :, None], axis=1)
-    walk, visited, accepted = _walk(made), [], 0.0
-    for _ in range(ROUNDS):
-        roots = np.stack([_spread(*pair) for pair in zip(x, found["cov"], strict=True)])
-        keys = rng.integers(0, 2**31, seeds)
-        x, accepted = by_chunks(walk, seen, prior, x, roots, keys)
-        visited.append(x[:, :, :hard].std(axis=1))
-    logs = by_chunks(made.derive, x.reshape(-1, unknown), chunk=KEPT).reshape(seeds, KEPT, -1)
-    settled = np.log(visited[-1] / visited[-2])
-    shapes = np.array([pareto_shape(row) for row in log_weight])
-    return Posterior(x, logs, 1 / np.sum(weight**2, axis=1), shapes, settled, accepted)
+def _back(u):
+    # e^y + y = u by Newton from above, whence it cannot overshoot.
+    y = np.where(u > 1, np.log(np.maximum(u, 1.0)), u)
+    for _ in range(8):
+        y = y - (np.exp(y) + y - u) / (np.exp(y) + 1)
+    return (y + _SIZES) @ np.linalg.inv(_LINEAR).T
 
 
-def _annealed(log_weight: np.ndarray) -> np.ndarray:
-    """Probabilities by weights to the largest power, 1 at most, that leaves LEAST draws."""
+def _log_kernels(u, centres, root):
+    """ln density of a mixture of multivariate t about centres (kernel, d), at u (draw, d)."""
+    d = u.shape[1]
+    inverse = np.linalg.inv(root)
+    apart = (u @ inverse.T)[:, None] - (centres @ inverse.T)[None]
+    logs = -0.5 * (_FREEDOM + d) * np.log1p(np.sum(apart**2, axis=2) / _FREEDOM)
+    return (
+        np.logaddexp.reduce(logs, axis=1) - np.log(len(centres)) - np.sum(np.log(np.diagonal(root)))
+    )
 
-    def at(power):
-        weight = np.exp(power * (log_weight - log_weight.max()))
-        return weight / weight.sum()
 
+def _draw(rng, centres, root):
+    scale = np.sqrt(_FREEDOM / rng.chisquare(_FREEDOM, (BLOCK, 1)))
+    noise = rng.standard_normal((BLOCK, len(root))) * scale
+    return centres[rng.integers(0, len(centres), BLOCK)] + noise @ root.T
+
+
+def _normal(log_weight, power=1.0):
+    weight = np.exp(power * (log_weight - log_weight.max()))
+    return weight / weight.sum()
+
+
+def _flattened(log_weight: np.ndarray) -> np.ndarray:
+    """Weights to the largest power, 1 at most, that leaves _LEAST effective draws."""
     low, high = 0.0, 1.0
-    if 1 / np.sum(at(high) ** 2) >= LEAST:
-        return at(high)
+    if 1 / np.sum(_normal(log_weight) ** 2) >= _LEAST:
+        return _normal(log_weight)
     for _ in range(30):
         middle = 0.5 * (low + high)
-        low, high = (middle, high) if 1 / np.sum(at(middle) ** 2) >= LEAST else (low, middle)
-    return at(low)
+        enough = 1 / np.sum(_normal(log_weight, middle) ** 2) >= _LEAST
+        low, high = (middle, high) if enough else (low, middle)
+    return _normal(log_weight, low)
 
 
-def _spread(draws, covariance) -> np.ndarray:
-    """A root of the covariance of draws, with a tenth of the ellipsoid's."""
-    return np.linalg.cholesky(0.9 * np.cov(draws.T) + 0.1 * covariance)
+class _Search:
+    """The densities drawn from so far and the draws, of one seed."""
+
+    def __init__(self, mode, cov):
+        u, _ = _straight(mode)
+        slope = (1 + np.exp(mode @ _LINEAR.T - _SIZES))[:, None] * _LINEAR
+        root = np.linalg.cholesky(slope @ cov @ slope.T)
+        self.mixtures = [(u[None], _WIDER * root)]
+        self.u, self.log_p = np.zeros((0, len(mode))), np.zeros(0)
+
+    def propose(self, rng):
+        if len(self.u):
+            weight = _flattened(self.log_weight())
+            centres = self.u[rng.choice(len(self.u), _KERNELS, p=weight)]
+            root = _WIDTH * np.linalg.cholesky(np.cov(self.u.T, aweights=weight))
+            self.mixtures.append((centres, root))
+        return _draw(rng, *self.mixtures[-1])
+
+    def learn(self, u, log_p):
+        self.u = np.concatenate([self.u, u])
+        self.log_p = np.concatenate([self.log_p, np.where(np.isfinite(log_p), log_p, -np.inf)])
+
+    def log_weight(self):
+        logs = [_log_kernels(self.u, *one) for one in self.mixtures]
+        return self.log_p - np.logaddexp.reduce(np.stack(logs), axis=0)
 
 
-def _walk(made: Setup):
-    """A program of Metropolis steps of many walkers, (draw, unknown) each; share accepted."""
+def _spread(z, log_weight):
+    return np.sqrt(np.diagonal(np.cov(z.T, aweights=_normal(log_weight))))
 
-    def run(seen, prior, x, root, seed):
-        residual = made.problem(seen, prior).residual
 
-        def density(x):
-            return jax.lax.map(lambda x: -0.5 * jnp.sum(residual(x) ** 2), x, batch_size=250)
+def sample(made: Setup, seen, prior, found, seed: int = 3) -> Posterior:
+    """Posteriors of (seed, reading, channel) readings, about the optima `found` by `fit_all`.
 
-        def step(carry, key):
-            x, here = carry
-            push, size, chance = jax.random.split(key, 3)
-            # Steps of many sizes about the best for a Gaussian (Roberts et al. 1997).
-            scale = 2.38 / np.sqrt(x.shape[1]) * jnp.exp(jax.random.normal(size, (len(x), 1)) - 0.5)
-            new = x + scale * (jax.random.normal(push, x.shape) @ root.T)
-            there = density(new)
-            there = jnp.where(jnp.isfinite(there), there, -jnp.inf)
-            taken = jnp.log(jax.random.uniform(chance, here.shape)) < there - here
-            x = jnp.where(taken[:, None], new, x)
-            return (x, jnp.where(taken, there, here)), jnp.mean(taken.astype(x.dtype))
-
-        keys = jax.random.split(jax.random.key(seed), STEPS)
-        (x, _), accepted = jax.lax.scan(step, (x, density(x)), keys)
-        return x, jnp.mean(accepted)
-
-    return jax.jit(lambda *arguments: jax.lax.map(lambda a: run(*a), arguments))
+    `prior`: rows of the priors by seed.
+    """
+    if made.parameters.names[:_HARD] != ("chlorophyll", "cdom", "detritus", "tie"):
+        raise ValueError(f"the unknowns begin with {made.parameters.names[:_HARD]}.")
+    seeds, unknown = found["x"].shape
+    rng, run = np.random.default_rng(seed), _program(made, _HARD)
+    covs = found["cov"][:, :_HARD, :_HARD]
+    along = found["cov"][:, _HARD:, :_HARD] @ np.linalg.inv(covs)
+    searches = [_Search(*pair) for pair in zip(found["x"][:, :_HARD], covs, strict=True)]
+    visited = []
+    for _ in range(1 + ROUNDS):
+        u = np.stack([search.propose(rng) for search in searches])
+        z = _back(u)
+        noise = rng.standard_normal((seeds, BLOCK, unknown - _HARD))
+        w, ratio = by_chunks(run, seen, prior, found["x"], along, z, noise, chunk=20)
+        # The posterior in straight coordinates is that in logarithms less the stretch.
+        for search, *news in zip(searches, u, ratio - _straight(z)[1], strict=True):
+            search.learn(*news)
+        visited.append(np.concatenate([z, w], axis=2))
+    x = np.concatenate(visited, axis=1)
+    logs = [search.log_weight() for search in searches]
+    late = 3 * BLOCK
+    settled = [
+        np.log(_spread(one[-late:, :_HARD], log[-late:]) / _spread(one[:, :_HARD], log))
+        for one, log in zip(x, logs, strict=True)
+    ]
+    picks = np.stack([rng.choice(x.shape[1], KEPT, p=_normal(log)) for log in logs])
+    x = np.take_along_axis(x, picks[:, :, None], axis=1)
+    derived = by_chunks(made.derive, x.reshape(-1, unknown), chunk=KEPT).reshape(seeds, KEPT, -1)
+    effective = np.array([1 / np.sum(_normal(log) ** 2) for log in logs])
+    return Posterior(x, derived, effective, np.array([pareto_shape(log) for log in logs]),
+                     np.stack(settled))  # fmt: skip
