@@ -250,7 +250,7 @@ def along(
             light = jnp.exp(-beams.nu * outside * layer.depth)
             source = jax.vmap(do.forcing, (None, 0))(modes, beams) * light[:, None, None]
             reach = beams.nu * length
-            straight = mf.mean_decay_between(reach, jnp.full_like(reach, rate * length))
+            straight = mf.mean_decay_between(beams.nu, jnp.full_like(reach, rate), length)
             straight = jnp.where(along, mf.mean_decay(reach + rate * length), straight)
             return combine(_seen, source, beams.nu, along), light * straight
 

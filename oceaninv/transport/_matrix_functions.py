@@ -48,9 +48,13 @@ def _mean_decay_jvp(primals, tangents):
     return value, jnp.where(small, -series, slope) * tangents[0]
 
 
-def mean_decay_between(x, y):
-    """Mean of e^-u for u between x and y."""
-    return jnp.exp(-jnp.minimum(x, y)) * mean_decay(jnp.abs(x - y))
+def mean_decay_between(x, y, t):
+    """Mean of e^(-u t) for u between x and y.
+
+    Of x t - y t instead, fused products make two values that differ by rounding, and a tiny one
+    divided by the other is not 1.
+    """
+    return jnp.exp(-jnp.minimum(x, y) * t) * mean_decay(jnp.abs(x - y) * t)
 
 
 # Exponentials and means are taken of stacked arguments: each in the program costs compile time.
@@ -168,7 +172,7 @@ def forced_seen(k, t, rate, nu, along):
     first = jnp.where(along, jnp.zeros_like(x), view)
     shift = jnp.where(along, view, 0.0)
     whole = t**2 * exp_mean3(first, x + shift, jnp.zeros_like(x) + y + shift)
-    image = t * mean_decay_between(x, y)
+    image = t * mean_decay_between(k, nu, t)
     return jnp.stack([near, far, (whole - image * jnp.where(along, far, near)) / (k + nu)])
 
 

@@ -92,11 +92,11 @@ def single_scattering(
     def seen(extinction):
         """Light per unit of scattering, (layer,), for an attenuation (layer,)."""
         whole, part = extinction * layer.depth, extinction * path.length
-        start = jnp.cumsum(whole) - whole
+        start = jnp.pad(jnp.cumsum(whole)[:-1], (1, 0))
         top = start + jnp.where(sight.up, path.share * whole, 0.0)
         near = jnp.where(sight.up, top, top + part)
         clear = jnp.exp(-jnp.abs(near - jnp.sum(path.share * whole)) * rate)
-        down = mf.mean_decay_between(nu * part, rate * part)
+        down = mf.mean_decay_between(nu, rate, part)
         both = jnp.where(sight.up, mf.mean_decay((nu + rate) * part), down)
         return sun * jnp.exp(-nu * top) * clear * both * path.length * rate
 
