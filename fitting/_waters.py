@@ -7,6 +7,7 @@ logarithm enters linearly, is eliminated in the same step.
 """
 
 import functools
+import threading
 from collections.abc import Mapping, Sequence
 
 import equinox as eqx
@@ -251,6 +252,11 @@ def _pass(layout: Parameters, grid, beam, transport: AbstractTransport, prior, d
     return Water(x, covariance(usable), code, values, slopes, model, up), damping, ended
 
 
+# One program takes every core.  Several, as threads of a cluster's worker would start them, could
+# wait for ever for each other: see oceaninv/transport/_factors.py.
+_ONE_AT_A_TIME = threading.Lock()
+
+
 @kept
 def _pass_all(layout: Parameters, prior: Prior, grid, beam, transport, data: Spectra, at: Search):
     return jax.vmap(functools.partial(_pass, layout, grid, beam, transport))(prior, data, at)
@@ -281,8 +287,9 @@ def solve_waters(
             return jax.tree.map(lambda *leaves: np.stack(leaves), *[items[i] for i in filled])
 
         arrays = jax.device_put((stacked(priors), stacked(data), stacked(at)))
-        done = _pass_all(layout, arrays[0], grid, beam, transport, *arrays[1:])
-        water, dampings, ended = jax.tree.map(np.asarray, done)
+        with _ONE_AT_A_TIME:
+            done = _pass_all(layout, arrays[0], grid, beam, transport, *arrays[1:])
+            water, dampings, ended = jax.tree.map(np.asarray, done)
         for k, i in enumerate(part):
             own = jax.tree.map(lambda leaf, k=k: leaf[k], water)
             passes[i] += 1

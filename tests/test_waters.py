@@ -1,5 +1,7 @@
 """Constituents of many casts at once: the reduction of a cast, and the same answers as alone."""
 
+import threading
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -132,6 +134,20 @@ def test_a_water_is_the_same_alone_and_in_a_batch():
     np.testing.assert_allclose(data.chlorophyll_high[0], water.interval("chlorophyll")[1])
     order = fit_profiles(many[::-1], transport=oi.TwoStream())
     np.testing.assert_allclose(order.water(2).x, water.x, atol=1e-9)
+
+    # Threads, as of a cluster's worker: they would hang if their programs ran at the same time.
+    def fit():
+        for _ in range(5):
+            found.append(fit_profiles(many, transport=oi.TwoStream()).water(0).x)
+
+    found = []
+    threads = [threading.Thread(target=fit, daemon=True) for _ in range(4)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join(timeout=60.0)
+    assert len(found) == 20
+    np.testing.assert_allclose(found, np.broadcast_to(water.x, (20, count)), atol=1e-9)
 
 
 @pytest.mark.slow
