@@ -14,7 +14,7 @@ CAST = str(SCENES / "argo_6903247.csv")
 
 
 def test_fit_profile_writes_a_cf_dataset_and_a_picture(tmp_path, capsys):
-    assert cli.run(["fit-profile", CAST, "-o", str(tmp_path / "cast"), "--kd-only"]) == 0
+    assert cli.run(["fit-profile", CAST, "-o", str(tmp_path / "cast.nc"), "--kd-only"]) == 0
     shown = capsys.readouterr().out
     assert "mean from the surface to the depth of 10 % light" in shown
     assert "search: converged" in shown

@@ -8,9 +8,17 @@ import typer
 if TYPE_CHECKING:
     from fitting.posterior import Fit
 
+
+def _stem(path: Path | None) -> Path | None:
+    """STEM.nc means STEM, lest STEM.nc.nc be written."""
+    return path.with_suffix("") if path is not None and path.suffix == ".nc" else path
+
+
 Output = Annotated[
     Path | None,
-    typer.Option("--output", "-o", help="Stem of the files to write: STEM.nc and STEM.png."),
+    typer.Option(
+        "--output", "-o", callback=_stem, help="Stem of the files to write: STEM.nc and STEM.png."
+    ),
 ]
 SolarZenith = Annotated[
     float | None, typer.Option(help="Sun zenith angle in air, degrees; unknown if not given.")
