@@ -28,8 +28,8 @@ class Samples(eqx.Module):
 class CastProblem(AbstractProblem):
     """The posterior of a cast's constituents.
 
-    `reach` (wl,): the deepest sample of each band, m, where the water has layers; None for one
-    water.
+    Where the water has layers, `reach` (wl,) is the deepest sample of each band and `rounding`
+    (interface,) the half-widths over which interfaces are rounded, m; None for one water.
     """
 
     layout: Parameters = eqx.field(static=True)
@@ -38,11 +38,14 @@ class CastProblem(AbstractProblem):
     prior: Prior
     samples: Samples
     reach: Float[Array, " wl"] | None
+    rounding: Float[Array, " interface"] | None
 
     def residual(self, x: Float[Array, " unknown"]) -> Float[Array, " residual"]:
         """Samples, then priors, in standard deviations."""
         seen = self.samples
-        model = seen.ratio * model_ed(self.layout, self.grid, self.transport, x, seen.depth)
+        model = seen.ratio * model_ed(
+            self.layout, self.grid, self.transport, x, seen.depth, self.rounding
+        )
         data = jnp.where(seen.mask, (seen.Ed - model) / seen.sd, 0.0)
         return jnp.concatenate([data.reshape(-1), self.prior.residual(x)])
 
@@ -54,18 +57,31 @@ class CastProblem(AbstractProblem):
         return layer_quantities(values, wavelength, self.transport, self.reach)
 
 
-def model_ed(parameters: Parameters, grid, transport: AbstractTransport, x, depth):
-    """(depth, wl) Ed of the water and surface light at coordinates `x`."""
+def model_ed(parameters: Parameters, grid, transport: AbstractTransport, x, depth, rounding=None):
+    """(depth, wl) Ed of the water and surface light at coordinates `x`.
+
+    `rounding`: without it, the sum of squares has a crease wherever an interface meets a sample,
+    and a search may stop in one for good.  ln Ed is (K_above + K_below)/2 times the distance u from
+    the interface and half their difference times |u|; the latter is averaged over +- the width.
+    """
     values = parameters.values(x)
     water = water_of(values, np.asarray(grid))
     sun = jnp.ones(len(grid), dtype=x.dtype)
     zenith = jnp.minimum(values["solar_zenith"], 89.0)
     scene = oi.Scene(water, oi.Light(zenith, sun), oi.FlatSurface())
-    stretched = depth * (1.0 + values["closure"])
-    field = transport.irradiance(
-        scene, jnp.concatenate([jnp.zeros_like(depth[:1]), stretched]), None
-    )
-    relative = field.Ed.value[1:] / field.Ed.value[:1]
+    asked = [jnp.zeros_like(depth[:1]), depth]
+    if rounding is not None:
+        interface = water.interfaces / (1.0 + values["closure"])
+        width = jnp.minimum(rounding, 0.5 * interface)
+        asked += [interface - width, interface, interface + width]
+    field = transport.irradiance(scene, jnp.concatenate(asked) * (1.0 + values["closure"]), None)
+    relative = field.Ed.value[1 : len(depth) + 1] / field.Ed.value[:1]
+    if rounding is not None:
+        above, at, below = jnp.log(field.Ed.value[len(depth) + 1 :]).reshape(3, -1, len(grid))
+        more = (2.0 * at - above - below) / width[:, None]  # of K below than above
+        away = jnp.abs(depth[:, None] - interface[None, :]) / width[None, :]
+        lifted = width[None, :] * jnp.maximum(1.0 - away, 0.0) ** 2
+        relative *= jnp.exp(-0.25 * lifted @ more)
     surface = jnp.stack([values[f"Ed0_{wl:g}"] for wl in grid])
     return surface[None, :] * relative
 

@@ -57,6 +57,13 @@ def interfaces_of(parameters: Parameters, x: np.ndarray) -> list[float]:
     ).tolist()
 
 
+def roundings(interfaces: np.ndarray, depth: np.ndarray) -> np.ndarray:
+    """Half of the widest step between samples about each interface, m: samples tell no more."""
+    steps = np.diff(depth)
+    at = np.searchsorted(depth, interfaces)
+    return np.array([0.5 * steps[max(i - 2, 0) : i + 1].max() for i in at])
+
+
 def check_layers(transport: AbstractTransport) -> None:
     """ValueError unless the transport knows layers of water."""
     if not isinstance(transport, PlaneParallel):

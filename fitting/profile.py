@@ -14,7 +14,13 @@ from fitting._lanes import Job, fit_lanes, light_of, padded
 from fitting._par import light_of_bands, light_of_sensor, light_quantities
 from fitting._planned import Demand, fit_within, scene_at
 from fitting._upward import Cast, cast_of, cast_quantities, lit, upward_notes
-from fitting.layered import check_layers, interfaces_of, layer_units, layer_unknowns
+from fitting.layered import (
+    check_layers,
+    interfaces_of,
+    layer_units,
+    layer_unknowns,
+    roundings,
+)
 from fitting.observations import Profile
 from fitting.parameters import Log, Parameter, Parameters, water_unknowns
 from fitting.posterior import Fit, Predictive, Quantity
@@ -282,13 +288,14 @@ def _constituent_fit(cast: Cast, bands, transport, priors, metadata, start=None,
         pad(mask, False),
         pad(np.ones_like(light), 1.0) if ratio is None else jax.device_put(ratio),
     )
-    reach, units = None, UNITS
+    reach, rounding, units = None, None, UNITS
     if len(interfaces):
+        rounding = jax.device_put(roundings(interfaces, profile.depth))
         deepest = np.array([profile.depth[m].max() for m in mask.T])
         reach, units = jax.device_put(deepest), layer_units(len(interfaces) + 1)
     prior, grid = parameters.prior(), tuple(profile.wavelength.tolist())
     start = prior.centre if start is None else jax.device_put(start)
-    problem = CastProblem(parameters.layout(), grid, transport, prior, samples, reach)
+    problem = CastProblem(parameters.layout(), grid, transport, prior, samples, reach, rounding)
     describe_cast.prepare(problem, start)
     optimum, cov, fitted = solve_cast(problem, start)
     values, slopes = describe_cast(problem, optimum.x)
