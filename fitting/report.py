@@ -309,17 +309,21 @@ def _draw_unknowns(axes, fit: Fit, plain: Fit) -> None:
         for name, q in one.quantities.items()
         if q.value.ndim == 0 and name != "PAR_0"
     ]
+    crowded = len(rows) > 10
     for y, (label, value, (low, high), known) in enumerate(reversed(rows)):
         colour = "tab:blue" if known else "0.6"
         axes.plot([low, high], [y, y], "-", lw=5, color=colour, alpha=0.5, solid_capstyle="butt")
         if known:
             axes.plot(value, y, "o", ms=5, color=colour)
-        text = label if known else f"{label}\nnot identifiable"
+        # Between many rows there is no room for a second line.
+        text = label if known else f"{label}{', ' if crowded else chr(10)}not identifiable"
         axes.text(0.02, y + 0.16, text, fontsize=8, transform=axes.get_yaxis_transform())
     axes.set(xscale="log", yticks=[], ylim=(-0.5, len(rows)), xlabel="value (95 % interval)")
     ends = np.array([span for _, _, span, _ in rows])
     if ends.size and np.nanmax(ends) < 30.0 * np.nanmin(ends):
         axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    else:
+        axes.xaxis.set_major_locator(LogLocator(numticks=6))
     # Plain numbers: setting powers of ten as mathematics takes longer than the whole drawing.
     axes.xaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
     axes.xaxis.set_minor_formatter(NullFormatter())

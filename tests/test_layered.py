@@ -8,9 +8,10 @@ import xarray as xr
 
 import oceaninv as oi
 from fitting import NUTS, Fit, Parameter, Profile, cli, fit_profile, sample
+from fitting._cast_problem import model_ed
 from fitting._evidence import worth
 from fitting.layered import interfaces_of, layer_unknowns, layers_of, water_of
-from fitting.parameters import Parameters, water_iops, water_unknowns
+from fitting.parameters import Log, Parameters, water_iops, water_unknowns
 
 BANDS = np.array([412.0, 443.0, 490.0, 555.0, 620.0, 665.0])
 DEPTH = np.linspace(0.2, 15.0, 60)
@@ -59,6 +60,37 @@ def test_layers_that_cannot_be_fitted_are_sentences():
     both = Profile(DEPTH, BANDS, cast.Ed, beam_wavelength=[440.0, 550.0], a=beams)
     with pytest.raises(ValueError, match="a and c are fitted to one water"):
         fit_profile(both, transport=oi.PlaneParallel(), layers=2)
+
+
+def test_an_interface_that_meets_a_sample_leaves_no_crease():
+    grid, met, x = tuple(BANDS.tolist()), DEPTH[24], jnp.asarray(coordinates(TRUTH))
+    at = LAYOUT.names.index("thickness_1")
+
+    @jax.jit
+    def both(thickness, rounding):
+        def model(log):
+            moved = jnp.concatenate([x.at[at].set(log), jnp.zeros(len(BANDS))])
+            return jnp.log(model_ed(full, grid, oi.PlaneParallel(4), moved, DEPTH, rounding))
+
+        return jax.jvp(model, (jnp.log(thickness),), (jnp.ones(()),))
+
+    surface = [Parameter(f"Ed0_{wl:g}", 1.0, None, Log(), "", True) for wl in grid]
+    full = Parameters([*LAYOUT, *surface])
+    slopes = {}
+    for half in (1e-9, 0.1255):
+        sides = [both(met + side, jnp.array([half])) for side in (-1e-4, 1e-4)]
+        (value, _), (other, _) = sides
+        np.testing.assert_allclose(value, other, atol=1e-4)
+        slopes[half] = [np.asarray(slope)[24, 0] for _, slope in sides]
+        plain, _ = both(met + 0.06, jnp.array([1e-9]))
+        rounded, _ = both(met + 0.06, jnp.array([half]))
+        # Samples further than the half-width away see nothing of it.
+        np.testing.assert_allclose(
+            np.delete(rounded, [24, 25], axis=0), np.delete(plain, [24, 25], axis=0), atol=1e-12
+        )
+    # One side of the crease against the other; rounded, the slope moves by its curvature alone.
+    assert abs(slopes[1e-9][1] - slopes[1e-9][0]) > 0.3
+    assert abs(slopes[0.1255][1] - slopes[0.1255][0]) < 0.004
 
 
 @pytest.mark.parametrize("rho", [0.0, 0.5, 0.9])
