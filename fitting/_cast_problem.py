@@ -7,7 +7,7 @@ from jaxtyping import Array, Bool, Float
 
 import oceaninv as oi
 from fitting._programs import kept
-from fitting.layered import layer_quantities, water_of
+from fitting.layered import interfaces, layer_quantities, water_of
 from fitting.parameters import Parameters, Prior
 from fitting.quantities import water_quantities
 from fitting.sampling import AbstractProblem
@@ -60,30 +60,42 @@ class CastProblem(AbstractProblem):
 def model_ed(parameters: Parameters, grid, transport: AbstractTransport, x, depth, rounding=None):
     """(depth, wl) Ed of the water and surface light at coordinates `x`.
 
-    `rounding`: without it, the sum of squares has a crease wherever an interface meets a sample,
-    and a search may stop in one for good.  ln Ed is (K_above + K_below)/2 times the distance u from
-    the interface and half their difference times |u|; the latter is averaged over +- the width.
+    `rounding`: half-widths over which interfaces are rounded, see `_unrounded`.
     """
     values = parameters.values(x)
     water = water_of(values, np.asarray(grid))
     sun = jnp.ones(len(grid), dtype=x.dtype)
     zenith = jnp.minimum(values["solar_zenith"], 89.0)
     scene = oi.Scene(water, oi.Light(zenith, sun), oi.FlatSurface())
-    asked = [jnp.zeros_like(depth[:1]), depth]
-    if rounding is not None:
-        interface = water.interfaces / (1.0 + values["closure"])
-        width = jnp.minimum(rounding, 0.5 * interface)
-        asked += [interface - width, interface, interface + width]
-    field = transport.irradiance(scene, jnp.concatenate(asked) * (1.0 + values["closure"]), None)
-    relative = field.Ed.value[1 : len(depth) + 1] / field.Ed.value[:1]
-    if rounding is not None:
-        above, at, below = jnp.log(field.Ed.value[len(depth) + 1 :]).reshape(3, -1, len(grid))
-        more = (2.0 * at - above - below) / width[:, None]  # of K below than above
-        away = jnp.abs(depth[:, None] - interface[None, :]) / width[None, :]
-        lifted = width[None, :] * jnp.maximum(1.0 - away, 0.0) ** 2
-        relative *= jnp.exp(-0.25 * lifted @ more)
+    error = 1.0 + values["closure"]
+
+    def light(depths):
+        asked = jnp.concatenate([jnp.zeros_like(depth[:1]), *depths]) * error
+        return transport.irradiance(scene, asked, None).Ed.value
+
     surface = jnp.stack([values[f"Ed0_{wl:g}"] for wl in grid])
-    return surface[None, :] * relative
+    if rounding is None:
+        down = light([depth])
+        return surface[None, :] * down[1:] / down[:1]
+    interface = interfaces(values)
+    width = jnp.minimum(rounding, 0.5 * interface)
+    down = light([depth, interface - width, interface, interface + width])
+    about = jnp.log(down[len(depth) + 1 :]).reshape(3, -1, len(grid))
+    too_much = _unrounded(depth, interface, width, about)
+    return surface[None, :] * down[1 : len(depth) + 1] / down[:1] * jnp.exp(-too_much)
+
+
+def _unrounded(depth, interface, width, about):
+    """(depth, wl) ln Ed at sharp interfaces less that at rounded ones.
+
+    Without rounding the sum of squares has a crease wherever an interface meets a sample, and a
+    search may stop in one for good.  About an interface ln Ed is the mean of both K times the
+    distance u, and half their difference times |u|; the latter is averaged over +- the width.
+    `about` (3, interface, wl): ln Ed a width above, at and a width below.
+    """
+    more = (2.0 * about[1] - about[0] - about[2]) / width[:, None]  # of K below than above
+    away = jnp.abs(depth[:, None] - interface[None, :]) / width[None, :]
+    return 0.25 * (width[None, :] * jnp.maximum(1.0 - away, 0.0) ** 2) @ more
 
 
 @kept

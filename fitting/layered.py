@@ -80,11 +80,16 @@ def water_of(values: Values, wavelength: np.ndarray) -> IOPs | Layers:
     return water_iops(values, wavelength)
 
 
+def interfaces(values: Values) -> Float[Array, " interface"]:
+    """Depths of the interfaces, m, as the depth sensor tells them."""
+    count = sum(name.startswith("thickness_") for name in values)
+    return jnp.cumsum(jnp.stack([values[f"thickness_{i}"] for i in range(1, count + 1)]))
+
+
 def layers_of(values: Values, wavelength: np.ndarray) -> Layers:
     """The layers with `values`."""
-    count = sum(name.startswith("thickness_") for name in values)
-    edges = jnp.cumsum(jnp.stack([values[f"thickness_{i}"] for i in range(1, count + 1)]))
-    waters = [_layer(values, i, wavelength) for i in range(1, count + 2)]
+    edges = interfaces(values)
+    waters = [_layer(values, i, wavelength) for i in range(1, len(edges) + 2)]
     # `closure` stretches depths, and the layers with them.
     return Layers(edges * (1.0 + values["closure"]), waters)
 
