@@ -2,14 +2,16 @@
 
 import dataclasses
 import struct
+from pathlib import Path
 
 import numpy as np
 import OpenImageIO as oiio
 import pytest
 
-from fitting import read_photograph, read_range
+from fitting import cli, read_photograph, read_range
 from fitting.photographs import pixels_of
 
+SCENES = Path(__file__).parents[1] / "scenes"
 RNG = np.random.default_rng(4)
 IMAGE = RNG.uniform(0.05, 0.9, (12, 16, 3))
 RANGE = RNG.uniform(1.0, 9.0, (12, 16))
@@ -192,6 +194,37 @@ def test_hostile_files_are_a_sentence(tmp_path, name, words):
         pytest.importorskip("rawpy")
     with pytest.raises(ValueError, match=words):
         read_photograph(broken(tmp_path, name))
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "empty.png",
+        "cut.png",
+        "one.png",
+        "five.tif",
+        "black.png",
+        "white.png",
+        "huge.png",
+        "nan.npz",
+    ],
+)
+def test_hostile_files_end_the_command_with_a_sentence_and_nothing_written(tmp_path, capsys, name):
+    """In a folder with a space and an umlaut; the last is a range map without a range."""
+    folder, out = tmp_path / "am Riff, \u00fc", tmp_path / "out"
+    folder.mkdir()
+    out.mkdir()
+    ranges = folder / "nan.npz"
+    np.savez(ranges, np.full(IMAGE.shape[:2], np.nan))
+    bad = name != ranges.name
+    picture = broken(folder, name) if bad else write(folder / "a.png", IMAGE, "uint16")
+    charts = str(SCENES / "red_sea_charts.csv")
+    files = ["--picture", str(picture), "--range-map", str(ranges), "-o", str(out / "fit")]
+    assert cli.run(["fit-photo", charts, "--depth", "5", *files]) == 3
+    said = capsys.readouterr().err
+    assert str(picture if bad else ranges) in said
+    assert "Traceback" not in said
+    assert list(out.iterdir()) == []
 
 
 def save_range(tmp_path, name):
