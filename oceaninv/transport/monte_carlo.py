@@ -46,7 +46,8 @@ class MonteCarlo(AbstractTransport):
     - `similar`: after so many events the water counts as one that scatters evenly, and b (1 - g) as
       much (similarity theory; Frisvad et al. 2007, section 3), so that one event does the work of
       1/(1 - g).  For white media, one band at a time (`tests/acceptance/similarity.md`); `bias` is
-      nan then.  Elastic light only.
+      nan then.  Elastic light only.  Early: hundreds of events through a peak (g above 0.95) bring
+      rare walks of great weight, and the `stderr` of a radiance that has met none is too small.
     - `progress`: a function of two whole numbers, called as every chunk of walks is done: its
       number, and how many there are.
 
