@@ -67,8 +67,8 @@ def fit_profile(
       ("thickness_1", ...); shapes of optical properties are those of all layers.
     - `tolerance`: instead of a transport, the largest relative error of Ed that it may bring: the
       cheapest that is good enough for the water found is taken, see `oceaninv.plan`, and what it
-      gets wrong there is corrected by one look at the exact light; which, its predicted error and
-      the correction stand in `metadata["plan"]`.
+      gets wrong there is corrected by one to three looks at the exact light; which, its predicted
+      error and the correction stand in `metadata["plan"]`.
 
     **Returns** a `Fit` with the quantity "Kd" at the profile's wavelengths (which mean it is
     stands in `metadata["kd_definition"]`).  Without a transport also Ed(0-); where the profile
@@ -248,7 +248,8 @@ def _corrected(fit: Fit, transport: AbstractTransport, solve, profile: Profile) 
 
     Noise averages out over samples while the error of a model does not: one of 1 % may move an
     estimate by more than its interval.  Its ratio to the exact light hardly depends on the water:
-    twice one evaluation of that, and the cheap search goes on with it.
+    one evaluation of that, and the cheap search goes on with it, again where the constituents
+    moved by a tenth of their standard deviation or more, at most three times.
     """
     exact, largest = EXACT, 0.0
     if rung(transport) == rung(oi.PlaneParallel(exact.streams, 1)):
@@ -256,13 +257,23 @@ def _corrected(fit: Fit, transport: AbstractTransport, solve, profile: Profile) 
     layout, grid = fit.parameters.layout(), tuple(profile.wavelength.tolist())
     depth = np.pad(profile.depth, (0, padded(len(profile.depth)) - len(profile.depth)))
     plan = fit.metadata["plan"]
-    for _ in range(2):
+    asked = np.array([not parameter.nuisance for parameter in fit.parameters])
+    sd = np.sqrt(np.diag(fit.covariance))
+    passes, moving = 0, True
+    while moving and passes < 3:
         x = jax.device_put(np.asarray(fit.x))
         cheap, true = lights(layout, grid, (transport, exact), x, jax.device_put(depth))
         ratio = np.where(np.asarray(cheap) > 0, np.asarray(true) / np.asarray(cheap), 1.0)
         largest = float(np.max(np.abs(ratio[: len(profile.depth)] - 1.0)))
         fit = solve(transport, np.asarray(fit.x), ratio)
-    plan = {**plan, "corrected_by": rung(exact), "largest_correction": largest}
+        moving = bool(np.any(np.abs(fit.x - np.asarray(x))[asked] >= 0.1 * sd[asked]))
+        passes += 1
+    plan = {
+        **plan,
+        "corrections": passes,
+        "corrected_by": rung(exact),
+        "largest_correction": largest,
+    }
     return dataclasses.replace(fit, metadata={**fit.metadata, "plan": plan})
 
 

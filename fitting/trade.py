@@ -17,6 +17,7 @@ from fitting.report import whole
 from oceaninv.iops import IOPs
 
 RAYS, DEPTHS = 48, 10
+LONGEST = 20.0  # processor seconds after which a model is not run again
 
 
 @dataclasses.dataclass(frozen=True)
@@ -93,7 +94,8 @@ class _Judge:
         self.depths = jnp.linspace(0.1, 1.0, DEPTHS) * deepest
 
     def run(self, model: Model, repeats: int):
-        """Value, median processor seconds, and those of compilation."""
+        """Value, median processor seconds (of fewer runs where they are long), and those of
+        compilation."""
 
         def cast(leaf):
             floating = jnp.issubdtype(leaf.dtype, jnp.inexact)
@@ -113,6 +115,8 @@ class _Judge:
             start = time.process_time()
             value = jax.block_until_ready(program(varied, *points))
             seconds.append(time.process_time() - start)
+            if sum(seconds) > LONGEST:
+                break
         return np.asarray(value), float(np.median(seconds or [np.nan])), compiled
 
     def error(self, value: np.ndarray, truth: np.ndarray, pick=None) -> float:

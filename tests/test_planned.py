@@ -89,6 +89,7 @@ def test_the_planned_fit_is_that_of_the_exact_light(monkeypatch):
     plan = planned.metadata["plan"]
     assert plan["kept"]
     assert 0.001 < plan["largest_correction"] < 0.1
+    assert 1 <= plan["corrections"] <= 3
     assert plan["corrected_by"] == choice.rung(exact)
     straight = fit_profile(profile, transport=exact)
     for name in ("chlorophyll", "cdom", "detritus"):

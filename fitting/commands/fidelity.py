@@ -42,7 +42,9 @@ def trade_command(
             "--output", "-o", help="Stem of the files to write; of many scenes, their folder."
         ),
     ] = None,
-    repeats: Annotated[int, typer.Option(help="Runs, of which the median counts.", min=1)] = 7,
+    repeats: Annotated[
+        int, typer.Option(help="Runs, of which the median counts; fewer of slow models.", min=1)
+    ] = 7,
     inelastic: Annotated[
         bool, typer.Option(help="Add Raman scattering and the fluorescence of chlorophyll.")
     ] = False,

@@ -4,7 +4,9 @@
 
 Synthetic data made by the full model (`PlaneParallel()`, the dearest that the command line offers)
 with noise, and the two real samples.  Each is fitted through the full model and with tolerance
-0.03, twice, so that the second time is without compilation.  Prints the table and writes
+0.03, twice, so that the second time is without compilation.  The full model's posterior may have
+two modes of nearly the same height: it is searched a second time from where the cheap fit ended,
+untimed, and the higher mode counts.  Prints the table and writes
 fit_tolerance_<kind>.md beside this file.  Seeded; the photographs take ten minutes of one core.
 """
 
@@ -72,20 +74,43 @@ def timed(fit):
     return found, time.process_time() - start
 
 
+def highest(full, lean):
+    """Coordinates of the full model's higher mode, their standard deviations, and by how much |r|^2
+    of the mode found from the cheap fit's end lies below that found from the priors' centres."""
+    import equinox as eqx
+
+    from fitting.solve import covariance, least_squares
+
+    @eqx.filter_jit
+    def again(problem, start):
+        return least_squares(lambda x, p: p.residual(x), start, problem, problem.prior.scale)
+
+    other = again(full.problem, jax.numpy.asarray(lean.x))
+    first = float(np.sum(np.asarray(eqx.filter_jit(full.problem.residual)(full.x)) ** 2))
+    gain = first - float(np.sum(np.asarray(other.residual) ** 2))
+    if gain <= 0.0:
+        return np.asarray(full.x), np.sqrt(np.diag(full.covariance)), gain
+    return np.asarray(other.x), np.sqrt(np.diag(covariance(other.jacobian))), gain
+
+
 def row(name: str, fit, data) -> str:
     """One line of the table."""
     import oceaninv as oi
 
     full, dear = timed(lambda: fit(data, transport=oi.PlaneParallel()))
     lean, cheap = timed(lambda: fit(data, tolerance=TOLERANCE))
-    shifts = []
-    for i, parameter in enumerate(full.parameters):
-        if not parameter.nuisance:
-            shifts.append(f"{abs(lean.x[i] - full.x[i]) / full.sd[parameter.name]:.2f}")
+    best, sd, gain = highest(full, lean)
+
+    def shifts(x, sd):
+        asked = [i for i, p in enumerate(full.parameters) if not p.nuisance]
+        return " / ".join(f"{abs(lean.x[i] - x[i]) / sd[i]:.2f}" for i in asked)
+
+    first = shifts(full.x, np.sqrt(np.diag(full.covariance)))
     plan = lean.metadata["plan"]
     return (
         f"| {name} | {', '.join(plan['tried'])} | {100 * plan['predicted_error']:.2g} % | "
-        f"{' / '.join(shifts)} | {cheap:.2g} | {dear:.2g} | {dear / cheap:.1f} |"
+        f"{shifts(best, sd)} | {first} | {gain:.2g} | {cheap:.2g} | {dear:.2g} | "
+        f"{dear / cheap:.1f} |"
     )
 
 
@@ -99,10 +124,13 @@ def main():
         lines = [
             f"# Fits within {100 * TOLERANCE:g} % beside the full model: {kind}\n",
             f"`python -m tests.acceptance.fit_tolerance {kind}`.  Shifts of chlorophyll, CDOM and "
-            "detritus from the full model's (`PlaneParallel()`), in its standard deviations; "
-            "processor seconds of a fit, compilation apart.\n",
-            "| data | tried | predicted error | shift | seconds | full model | saved, times |",
-            "|---|---|---|---|---|---|---|",
+            "detritus from the full model's (`PlaneParallel()`) higher mode, and from the mode "
+            "that it finds from the priors' centres, in its standard deviations; by how much "
+            "|residual|^2 is lower at the mode it finds from the cheap fit's end; processor "
+            "seconds of a fit, compilation apart.\n",
+            "| data | tried | predicted error | shift | from the first mode | gain | seconds | "
+            "full model | saved, times |",
+            "|---|---|---|---|---|---|---|---|---|",
         ]
         for name, data in cases():
             lines.append(row(name, fit, data))
