@@ -11,7 +11,8 @@ from fitting.posterior import Fit, Quantity
 from fitting.profile import fit_profile
 from fitting.profiles import ProfileFits, fit_profiles, stream_profiles
 from fitting.readings import Background, Chart, Photo, Pixels
-from fitting.sampling import NUTS, joint_region, sample
+from fitting.regions import joint_region
+from fitting.sampling import NUTS, sample
 from fitting.smooth import SmoothKd, smooth_kd
 
 __all__ = [

@@ -20,6 +20,7 @@ from fitting._photo_problem import (
 )
 from fitting._planned import Demand, fit_within, scene_at
 from fitting._programs import kept
+from fitting._valley import widened
 from fitting.parameters import Parameter
 from fitting.posterior import Fit, Predictive
 from fitting.quantities import UNITS, nearest_jerlov, quantities_of
@@ -202,6 +203,10 @@ def fit_photo(
     That bias, bounded by half a standard deviation, is taken off every parameter's value
     (`Fit.bias`); quantities hardly have one and are those of the mode, as are `Fit.x`, the
     predictions and the middles of intervals, which curvature widens (`Fit.bend`).
+
+    Standard deviations of unknowns beside a constituent that may as well be absent are those of
+    their profiles along it (`Fit.covariance` is scaled): at such an optimum the ellipsoid takes it
+    for known to be absent.
 
     Readings that scatter more about the model than their noise allows have their noise estimated
     from that scatter, and the fit done again: `metadata["noise_factor"]` says by how much the
@@ -388,6 +393,8 @@ def _result(
     )
     quantities, sensitivity = quantities_of(values, slopes, parameters, cov, bend)
     bias, spread = _bent(bend, cov)
+    if bend is not None:
+        cov = widened(problem, parameters, optimum.x, cov)
     jerlov, away = nearest_jerlov(WAVELENGTH, quantities["Kd"])
     count = int(sum(int(one.mask.sum()) for one in readings))
     if stated is None:

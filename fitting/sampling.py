@@ -2,7 +2,7 @@
 
 import abc
 import dataclasses
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 
 import equinox as eqx
 import jax
@@ -226,62 +226,3 @@ def _diagnostics(chains: np.ndarray):
         rhat = potential_scale_reduction(jnp.asarray(split))
         effective = effective_sample_size(jnp.asarray(chains))
     return np.asarray(rhat), np.asarray(effective)
-
-
-@dataclasses.dataclass(frozen=True)
-class Region:
-    """A joint region: the ellipsoid in logarithms that holds a share of the posterior.
-
-    From draws: its axes are their covariance's and its size is the distance within which that
-    share of them lies, so that it holds its share of a skewed posterior too.
-    """
-
-    names: tuple[str, ...]
-    centre: np.ndarray
-    precision: np.ndarray
-    radius2: float
-
-    def holds(self, values: Mapping[str, float]) -> bool:
-        """Whether the physical values lie inside."""
-        away = np.log([values[name] for name in self.names]) - self.centre
-        return bool(away @ self.precision @ away <= self.radius2)
-
-
-def joint_region(fit: Fit, names: tuple[str, ...], level: float = 0.95) -> Region:
-    """The joint region of some parameters on a log scale (and, of a sampled fit, quantities)."""
-    from scipy.stats import chi2
-
-    from fitting.parameters import Log
-
-    known = {p.name: i for i, p in enumerate(fit.parameters) if isinstance(p.transform, Log)}
-    scalars = {n: q for n, q in fit.quantities.items() if q.value.ndim == 0}
-    if fit.samples is None:
-        missing = [n for n in names if n not in known]
-        if missing:
-            raise ValueError(
-                f"{missing[0]!r} is no positive parameter of this fit; joint regions of quantities "
-                "need draws: call fitting.sample first."
-            )
-        index = [known[n] for n in names]
-        precision = np.linalg.inv(fit.covariance[np.ix_(index, index)])
-        return Region(names, fit.x[index], precision, float(chi2.ppf(level, len(names))))
-    columns = []
-    for name in names:
-        if name in known:
-            columns.append(fit.samples[:, known[name]])
-        elif name in scalars:
-            columns.append(np.log(np.asarray(scalars[name].samples)))
-        else:
-            from oceaninv.tables import unknown
-
-            raise unknown("positive parameter or quantity", name, sorted([*known, *scalars]))
-    return region_of(names, np.stack(columns, axis=1), level)
-
-
-def region_of(names: tuple[str, ...], draws: Float[np.ndarray, "draw name"], level: float):
-    """The `Region` that holds a share of draws of logarithms."""
-    centre = draws.mean(axis=0)
-    precision = np.linalg.inv(np.atleast_2d(np.cov(draws.T)))
-    away = draws - centre
-    radius2 = np.quantile(np.einsum("di,ij,dj->d", away, precision, away), level)
-    return Region(names, centre, precision, float(radius2))

@@ -10,9 +10,12 @@ import pytest
 from scipy.stats import chi2, kstest, norm
 
 from fitting import NUTS, Fit, Parameter, joint_region, sample
+from fitting._valley import widened
 from fitting.parameters import Parameters
 from fitting.posterior import Predictive, Quantity
+from fitting.regions import LikelihoodRegion, region_of
 from fitting.sampling import AbstractProblem
+from fitting.solve import covariance, least_squares
 
 AXES = np.array([[1.0, 0.0], [0.9, 0.3]])
 LAYOUT = Parameters([Parameter("a", 1.0), Parameter("b", 1.0)])
@@ -74,20 +77,100 @@ def test_intervals_and_regions_are_those_of_the_draws(draws):
     product = bent.quantities["product"]
     share = np.mean(product.samples < product.interval(0.68)[0])
     assert share == pytest.approx(0.16, abs=0.01)
-    region = joint_region(bent, ("a", "b"), 0.9)
+    region = region_of(("a", "b"), bent.samples, 0.9)
     inside = [region.holds({"a": np.exp(a), "b": np.exp(b)}) for a, b in bent.samples]
     assert np.mean(inside) == pytest.approx(0.9, abs=0.005)
-    with pytest.raises(ValueError, match="'prodct'"):
-        joint_region(bent, ("prodct",))
 
 
 def test_the_region_of_an_ellipsoid_is_chi_squared():
-    region = joint_region(fit(0.0), ("a", "b"), 0.95)
+    region = joint_region(dataclasses.replace(fit(0.0), problem=None), ("a", "b"), 0.95)
     edge = AXES @ np.array([np.sqrt(chi2.ppf(0.95, 2)), 0.0])
     for scale, inside in ((0.999, True), (1.001, False)):
         assert region.holds(dict(zip("ab", np.exp(scale * edge), strict=True))) is inside
-    with pytest.raises(ValueError, match="joint regions of quantities need draws"):
-        joint_region(fit(0.0), ("product",))
+    assert np.log(region.interval("b")[1]) == pytest.approx(np.sqrt(chi2.ppf(0.95, 2) * 0.9))
+    with pytest.raises(ValueError, match="keeps no posterior"):
+        joint_region(dataclasses.replace(fit(0.0), problem=None), ("product",))
+
+
+def least_square(bend, a=None, product=None):
+    """Least |r|^2 of `Bent` with ln of either number held, on a grid."""
+    x0 = np.linspace(-8, 8, 400001) if a is None else np.array([a])
+    inverse = np.linalg.inv(AXES)
+    if product is None:
+        return float(np.min(x0**2))
+    y = product - x0 + bend * (x0**2 - 1.0)
+    return float(np.min(np.sum((inverse @ np.stack([x0, y])) ** 2, axis=0)))
+
+
+@pytest.mark.parametrize("bend", [0.0, 0.4])
+def test_likelihood_regions_are_those_of_the_best_of_all_else(bend):
+    names = ("a", "product")
+    # From a point beside the optimum, as a fit with draws has it.
+    region = joint_region(dataclasses.replace(fit(bend), x=np.array([0.2, -0.1])), names, 0.95)
+    assert isinstance(region, LikelihoodRegion)
+    assert region.least == pytest.approx(0.0, abs=1e-6)
+    assert region.radius2 == pytest.approx(chi2.ppf(0.95, 2))
+    for held in ({"a": 1.3}, {"product": -2.0}, {"product": 2.5}, {"a": -1.0, "product": 0.7}):
+        loss = region.loss({name: np.exp(value) for name, value in held.items()})
+        assert loss == pytest.approx(least_square(bend, **held), rel=1e-3)
+    # Just inside and just outside along a line through the optimum.
+    ray = np.linspace(0, 12, 24001)
+    losses = np.array([least_square(bend, t, t + bend) for t in ray])
+    edge = ray[np.argmax(losses > region.radius2)]
+    for scale, inside in ((0.99, True), (1.01, False)):
+        t = scale * edge
+        assert region.holds({"a": np.exp(t), "product": np.exp(t + bend)}) is inside
+    low, high = np.log(region.interval("product"))
+    assert least_square(bend, product=low) == pytest.approx(region.radius2, rel=0.01)
+    assert least_square(bend, product=high) == pytest.approx(region.radius2, rel=0.01)
+    assert np.log(region.interval("a")) == pytest.approx([-2.448, 2.448], abs=0.01)
+
+
+def test_regions_of_what_is_not_there_say_so():
+    region = joint_region(fit(0.0), ("a", "product"))
+    assert isinstance(region, LikelihoodRegion)
+    with pytest.raises(ValueError, match="'prodct'"):
+        joint_region(fit(0.0), ("prodct",))
+    with pytest.raises(ValueError, match="names that differ"):
+        joint_region(fit(0.0), ("a", "a"))
+    with pytest.raises(ValueError, match="between 0 and 1"):
+        joint_region(fit(0.0), ("a",), 95.0)
+    with pytest.raises(ValueError, match="a value of product"):
+        region.holds({"a": 1.0})
+    with pytest.raises(ValueError, match="none of this region"):
+        region.loss({"b": 1.0})
+    with pytest.raises(ValueError, match="must be positive"):
+        region.loss({"a": -1.0})
+
+
+class Shared(AbstractProblem):
+    """Two amounts whose sum is measured, and their difference hardly: the first may be absent."""
+
+    layout: Parameters = eqx.field(static=True)
+
+    def residual(self, x):
+        a, b = jnp.exp(x)
+        return jnp.stack([(a + b - 1.0) / 0.05, (b - a - 1.05) / 0.5, x[0] / 2.3, x[1] / 2.3])
+
+    def quantities(self, x):
+        return {}
+
+
+def test_what_may_be_absent_widens_what_shares_with_it():
+    problem = Shared(Parameters([Parameter("a", 1.0, 2.3), Parameter("b", 1.0, 2.3)]))
+    grid = np.stack(np.meshgrid(np.linspace(-8, 1, 901), np.linspace(-3, 1, 1601), indexing="ij"))
+    flat = jnp.asarray(grid.reshape(2, -1).T)
+    loss = np.sum(np.asarray(jax.vmap(problem.residual)(flat)) ** 2, axis=1)
+    x = np.asarray(flat)[np.argmin(loss)]
+    x = np.asarray(least_squares(lambda x, _: problem.residual(x), jnp.asarray(x)).x)
+    cov = np.asarray(covariance(jax.jacfwd(problem.residual)(jnp.asarray(x))))
+    sd = np.sqrt(np.diag(cov))
+    inside = np.asarray(flat)[loss - loss.min() < chi2.ppf(0.95, 1)][:, 1]
+    true = np.max(np.abs(inside - x[1])) / 1.96
+    found = np.sqrt(np.diag(widened(problem, problem.layout, x, cov)))
+    assert sd[0] > 1
+    assert true > 1.3 * sd[1]
+    assert found[1] == pytest.approx(true, rel=0.15)
 
 
 def test_what_cannot_be_sampled_says_so():

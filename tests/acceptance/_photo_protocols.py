@@ -12,9 +12,11 @@ import numpy as np
 import oceaninv as oi
 from fitting import Background, Chart, Photo
 from fitting._photo_problem import predict_all
+from fitting._valley import reach, unseen, walk
 from fitting.parameters import Parameter, Parameters, Prior
 from fitting.photo import PhotoProblem, prepare, search
 from fitting.quantities import water_quantities
+from fitting.regions import held, whitening
 from fitting.solve import covariance, curvature, value_and_jacobian
 from tests.acceptance.photo_statistics import WAVELENGTH, patches
 
@@ -86,6 +88,7 @@ def _three_depths():
 PROTOCOLS = {
     "ideal": Protocol(lambda: [photo((0.5, 1.0, 2.0))], 0.01, {"gain": None}),
     "tie unknown": Protocol(lambda: [photo((0.5, 1.0, 2.0))], 0.01, {"gain": None, "tie": TIE}),
+    "tie and all else unknown": Protocol(lambda: [photo((0.5, 1.0, 2.0))], 0.01, {"": None}),
     "three depths": Protocol(_three_depths, 0.03, _FIELD),
     "three depths, shapes": Protocol(_three_depths, 0.03, _FIELD | dict.fromkeys(_SHAPES)),
     "three depths, a_y to 10 %": Protocol(_three_depths, 0.03, _FIELD | {"cdom": 0.1}),
@@ -110,12 +113,16 @@ class Setup(NamedTuple):
     - `forward` (x) -> (readings (reading, channel), ln quantities); readings of all photographs
       one below the other.
     - `fit` (readings, start, prior) -> a dictionary of numbers; `derive` (x) -> ln quantities.
-    - `problem` (readings, prior) -> the posterior of one draw.
+    - `problem` (readings, prior) -> the posterior of one draw; `walk` (readings, prior, x, i) ->
+      its valley along the unknown i; `held` (readings, prior, x, target, root) -> its optimum and
+      sum of squares with ln of NAMES held.
     """
 
     parameters: Partly
     noise: float
     problem: Callable
+    walk: Callable
+    held: Callable
     forward: Callable
     fit: Callable
     derive: Callable
@@ -150,6 +157,7 @@ def setup(name: str, water: tuple[float, ...] = WATERS["coastal"]) -> Setup:
     protocol = PROTOCOLS[name]
     parameters, readings, sunlight = _unknowns(protocol, water)
     layout, transport = parameters.layout(), oi.TwoStream()
+    own = np.array([parameters.names.index(name) for name in CONSTITUENTS])
     edges = np.cumsum([one.values.shape[0] for one in readings])[:-1]
 
     def quantities(x):
@@ -181,11 +189,14 @@ def setup(name: str, water: tuple[float, ...] = WATERS["coastal"]) -> Setup:
         bend = curvature(curved, optimum.x, cov, optimum.jacobian, slope)
         sd = jnp.sqrt(jnp.diagonal(cov))
         of_logs = jnp.sqrt(jnp.einsum("qi,ij,qj->q", slope, cov, slope))
+        asked = jnp.concatenate([jnp.eye(len(parameters), dtype=cov.dtype)[own], slope])
         # Bounded as in `fit_photo`.
         return {
             "x": optimum.x,
             "code": optimum.code,
             "cov": cov,
+            "joint": asked @ cov @ asked.T,
+            "square": jnp.sum(optimum.residual**2),
             "chi2": jnp.sum(optimum.residual**2) / seen.size,
             "bias": jnp.clip(bend.bias, -0.5 * sd, 0.5 * sd),
             "spread": jnp.minimum(bend.spread, sd),
@@ -195,8 +206,16 @@ def setup(name: str, water: tuple[float, ...] = WATERS["coastal"]) -> Setup:
         }
 
     derive = jax.jit(lambda x: jax.lax.map(quantities, x, batch_size=100))
-    programs = (jax.jit(jax.vmap(forward)), jax.jit(jax.vmap(fit)), derive)
-    return Setup(parameters, protocol.noise, problem, *programs)
+    # Fits one after the other: side by side, all would take as many steps as the longest.
+    fits = jax.jit(lambda *all_: jax.lax.map(lambda one: fit(*one), all_))
+    programs = (jax.jit(jax.vmap(forward)), fits, derive)
+    along = jax.jit(lambda seen, prior, x, i: walk(problem(seen, prior), x, i))
+    scale = np.array([1.0 if p.spread is None else p.spread for p in parameters])
+
+    def hold(seen, prior, x, target, root):
+        return held(problem(seen, prior), NAMES, x, jnp.asarray(scale), target, root)
+
+    return Setup(parameters, protocol.noise, problem, along, jax.jit(hold), *programs)
 
 
 def by_chunks(program, *trees, chunk: int = CHUNK):
@@ -248,7 +267,19 @@ def fit_all(made: Setup, seen: np.ndarray, prior: Prior | None = None) -> dict[s
     for i, name in enumerate(made.parameters.names):
         if name.startswith("gain"):
             start[:, i] += level[:, "RGB".index(name[-1])]
-    return by_chunks(made.fit, seen, start, prior)
+    found = by_chunks(made.fit, seen, start, prior)
+    return found | {"sd": _stated(made, seen, prior, found)}
+
+
+def _stated(made: Setup, seen, prior: Prior, found) -> np.ndarray:
+    """(draw, unknown) standard deviations as `fit_photo` states them."""
+    sds = np.sqrt(np.einsum("dii->di", found["cov"]))
+    for d, sd in enumerate(sds):
+        own = jax.tree.map(lambda row, d=d: row[d], prior)
+        for i in unseen(made.parameters, sd.copy()):
+            valley = made.walk(seen[d], own, found["x"][d], i)
+            sds[d] = np.maximum(sds[d], reach(found["x"][d], valley, made.parameters))
+    return sds
 
 
 def bound(made: Setup, x: np.ndarray, step: float = 1e-5) -> np.ndarray:
@@ -279,3 +310,15 @@ def bound(made: Setup, x: np.ndarray, step: float = 1e-5) -> np.ndarray:
         axis=1,
     )
     return np.sqrt(variance)
+
+
+def losses(made: Setup, seen, prior: Prior, found, target, picks) -> np.ndarray:
+    """(draw, pick) losses of `fitting.regions.LikelihoodRegion` with the picked of NAMES held at
+    `target` (draw, NAMES)."""
+    out = np.zeros((len(seen), len(picks)))
+    for d in range(len(seen)):
+        own = jax.tree.map(lambda row, d=d: row[d], prior)
+        for p, pick in enumerate(picks):
+            root = whitening(found["joint"][d], pick)
+            out[d, p] = made.held(seen[d], own, found["x"][d], target[d], root)[1]
+    return np.where(np.isfinite(out), out, np.inf) - found["square"][:, None]
