@@ -374,3 +374,22 @@ def test_similar_water_is_the_same_where_scattering_is_even():
     assert np.isnan(soft.bias).all()
     with pytest.raises(ValueError, match="similar must be at least 1"):
         oi.MonteCarlo(32, similar=0)
+
+
+@pytest.mark.slow
+def test_too_few_events_for_turbid_water_say_so():
+    """32 events lose up to 98 % of the light: the bound covers the loss, or there is none."""
+    lost = 0
+    for a, b in ((0.1, 2.0), (0.05, 5.0)):
+        water = oi.IOPs([500.0], A([a]), A([b]), HenyeyGreenstein(0.924))
+        scene, depths = oi.Scene(water, oi.Light(30.0, jnp.ones(1))), A([0.0, 2.0, 5.0])
+        found = oi.irradiance(scene, depths, oi.MonteCarlo(2**12, 32), key=jax.random.key(0))
+        exact = oi.irradiance(scene, depths, oi.PlaneParallel(24))
+        for name in ("Ed", "Eu", "E0"):
+            own = getattr(found, name)
+            error = np.abs(np.asarray(own.value - getattr(exact, name).value))
+            bias, stderr = np.asarray(own.bias), np.asarray(own.stderr)
+            bounded = np.isfinite(bias)
+            assert (error <= bias + 4 * stderr + 1e-9)[bounded].all(), (name, error, bias, stderr)
+            lost += int(np.sum(error > 0.2 * np.asarray(getattr(exact, name).value)))
+    assert lost >= 8
