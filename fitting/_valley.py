@@ -103,11 +103,11 @@ def reach(x: np.ndarray, valley: Valley, parameters: Parameters) -> np.ndarray:
     return np.minimum(np.max(away, axis=0, initial=0.0) / z, most)
 
 
-def widened(problem: AbstractProblem, parameters: Parameters, x, covariance: np.ndarray):
+def widened(problem: AbstractProblem, parameters: Parameters, x, cov: np.ndarray) -> np.ndarray:
     """The covariance with the standard deviations that the valleys of what is unseen ask for."""
-    sd = np.sqrt(np.diag(covariance))
+    sd = np.sqrt(np.diag(cov))
     found = sd
     for i in unseen(parameters, sd):
         valley = _walked(problem, jnp.asarray(x), jnp.asarray(i))
         found = np.maximum(found, reach(np.asarray(x), valley, parameters))
-    return covariance * np.outer(found / sd, found / sd)
+    return cov * np.outer(found / sd, found / sd)

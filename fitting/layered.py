@@ -51,16 +51,14 @@ def layer_unknowns(interfaces: Sequence[float], solar_zenith: float | None) -> l
 
 def interfaces_of(parameters: Parameters, x: np.ndarray) -> list[float]:
     """Depths of the interfaces at coordinates x, m."""
-    pairs = zip(parameters, x, strict=True)
-    return np.cumsum(
-        [p.transform.physical(v) for p, v in pairs if p.name.startswith("thickness_")]
-    ).tolist()
+    return np.asarray(interfaces(parameters.values(jnp.asarray(x)))).tolist()
 
 
-def roundings(interfaces: np.ndarray, depth: np.ndarray) -> np.ndarray:
+def roundings(edges: np.ndarray, depth: np.ndarray) -> np.ndarray:
     """Half of the widest step between samples about each interface, m: samples tell no more."""
-    steps = np.diff(depth)
-    at = np.searchsorted(depth, interfaces)
+    places = np.unique(depth)  # a sensor may dwell
+    steps = np.diff(places)
+    at = np.searchsorted(places, edges)
     return np.array([0.5 * steps[max(i - 2, 0) : i + 1].max() for i in at])
 
 

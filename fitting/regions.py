@@ -23,10 +23,10 @@ _FAR = 2.5
 
 @dataclasses.dataclass(frozen=True)
 class Region:
-    """A joint region: the ellipsoid in logarithms that holds a share of the posterior.
+    """A joint region: an ellipsoid in logarithms.
 
-    From draws: its axes are their covariance's and its size is the distance within which that
-    share of them lies, so that it holds its share of a skewed posterior too.
+    - `names`; `centre`: ln of their values; `precision`: (name, name) inverse of their covariance;
+      `radius2`: the squared distance from the centre, in it, of what lies on the edge.
     """
 
     names: tuple[str, ...]
@@ -108,8 +108,8 @@ class LikelihoodRegion:
     def interval(self, name: str) -> tuple[float, float]:
         """(low, high) physical values of one number that occur in the region.
 
-        Of a region of one name this is its interval by profile likelihood.  An end that is not
-        found within twenty standard deviations or twenty e-foldings is given as 0 or infinity.
+        Of a region of one name this is its interval by profile likelihood.  An end beyond twenty
+        times the linearised half-width, or as many e-foldings, is given as 0 or infinity.
         """
         from scipy.optimize import brentq
 
@@ -250,12 +250,3 @@ def joint_region(
     return LikelihoodRegion(
         names, centre, joint, radius2, fit.problem, np.asarray(x), scale, float(least), starts, at
     )
-
-
-def region_of(names: tuple[str, ...], draws: Float[np.ndarray, "draw name"], level: float):
-    """The `Region` that holds a share of draws of logarithms."""
-    centre = draws.mean(axis=0)
-    precision = np.linalg.inv(np.atleast_2d(np.cov(draws.T)))
-    away = draws - centre
-    radius2 = np.quantile(np.einsum("di,ij,dj->d", away, precision, away), level)
-    return Region(names, centre, precision, float(radius2))

@@ -309,14 +309,14 @@ def _draw_unknowns(axes, fit: Fit, plain: Fit) -> None:
         for name, q in one.quantities.items()
         if q.value.ndim == 0 and name != "PAR_0"
     ]
-    crowded = len(rows) > 10
+    # Between many rows there is no room for a second line.
+    gap = ", " if len(rows) > 10 else "\n"
     for y, (label, value, (low, high), known) in enumerate(reversed(rows)):
         colour = "tab:blue" if known else "0.6"
         axes.plot([low, high], [y, y], "-", lw=5, color=colour, alpha=0.5, solid_capstyle="butt")
         if known:
             axes.plot(value, y, "o", ms=5, color=colour)
-        # Between many rows there is no room for a second line.
-        text = label if known else f"{label}{', ' if crowded else chr(10)}not identifiable"
+        text = label if known else f"{label}{gap}not identifiable"
         axes.text(0.02, y + 0.16, text, fontsize=8, transform=axes.get_yaxis_transform())
     axes.set(xscale="log", yticks=[], ylim=(-0.5, len(rows)), xlabel="value (95 % interval)")
     ends = np.array([span for _, _, span, _ in rows])

@@ -10,7 +10,7 @@ import oceaninv as oi
 from fitting import NUTS, Fit, Parameter, Profile, cli, fit_profile, sample
 from fitting._cast_problem import model_ed
 from fitting._evidence import worth
-from fitting.layered import interfaces_of, layer_unknowns, layers_of, water_of
+from fitting.layered import interfaces_of, layer_unknowns, layers_of, roundings, water_of
 from fitting.parameters import Log, Parameters, water_iops, water_unknowns
 
 BANDS = np.array([412.0, 443.0, 490.0, 555.0, 620.0, 665.0])
@@ -91,6 +91,12 @@ def test_an_interface_that_meets_a_sample_leaves_no_crease():
     # One side of the crease against the other; rounded, the slope moves by its curvature alone.
     assert abs(slopes[1e-9][1] - slopes[1e-9][0]) > 0.3
     assert abs(slopes[0.1255][1] - slopes[0.1255][0]) < 0.004
+
+
+def test_interfaces_are_rounded_by_the_steps_about_them():
+    depth = np.array([0.1, 0.3, 1.0, 2.0, 2.0, 2.0, 2.0, 2.4, 2.8])
+    edges = np.array([0.2, 1.5, 2.0, 2.6])
+    np.testing.assert_allclose(roundings(edges, depth), [0.35, 0.5, 0.5, 0.2])
 
 
 @pytest.mark.parametrize("rho", [0.0, 0.5, 0.9])

@@ -13,9 +13,10 @@ from fitting import NUTS, Fit, Parameter, joint_region, sample
 from fitting._valley import widened
 from fitting.parameters import Parameters
 from fitting.posterior import Predictive, Quantity
-from fitting.regions import LikelihoodRegion, region_of
+from fitting.regions import LikelihoodRegion
 from fitting.sampling import AbstractProblem
 from fitting.solve import covariance, least_squares
+from tests.acceptance._photo_posterior import region_of
 
 AXES = np.array([[1.0, 0.0], [0.9, 0.3]])
 LAYOUT = Parameters([Parameter("a", 1.0), Parameter("b", 1.0)])

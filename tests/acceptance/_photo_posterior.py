@@ -18,7 +18,9 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Float
 
+from fitting.regions import Region
 from fitting.solve import value_and_jacobian
 from tests.acceptance._photo_protocols import Setup, by_chunks
 
@@ -222,3 +224,13 @@ def sample(made: Setup, seen, prior, found, seed: int = 3) -> Posterior:
     effective = np.array([1 / np.sum(_normal(log) ** 2) for log in logs])
     return Posterior(x, derived, effective, np.array([pareto_shape(log) for log in logs]),
                      np.stack(settled))  # fmt: skip
+
+
+def region_of(names: tuple[str, ...], draws: Float[np.ndarray, "draw name"], level: float):
+    """The ellipsoid that holds a share of draws of logarithms: its axes are their covariance's, its
+    size is the distance within which that share of them lies."""
+    centre = draws.mean(axis=0)
+    precision = np.linalg.inv(np.atleast_2d(np.cov(draws.T)))
+    away = draws - centre
+    radius2 = np.quantile(np.einsum("di,ij,dj->d", away, precision, away), level)
+    return Region(names, centre, precision, float(radius2))

@@ -31,7 +31,7 @@ from fitting.cli import quick_compilation
 from fitting.parameters import Prior
 from fitting.posterior import _identifiable as identifiable
 from fitting.posterior import half_width
-from fitting.regions import region_of
+from tests.acceptance._photo_posterior import region_of
 from tests.acceptance._photo_posterior import sample as posterior
 from tests.acceptance._photo_protocols import (
     CONSTITUENTS,
@@ -208,6 +208,14 @@ def flags(name: str, out: Outcome) -> str:
 PICKS = ((0, 1, 2), (3, 4, 5, 6), *((q,) for q in range(len(NAMES))))
 
 
+def _coastal(name: str, count: int):
+    """Setup, priors, truths, readings and ln of derived numbers of one fixed water."""
+    made = setup(name)
+    x = truths(made, WATERS["coastal"], count, SEED)
+    seen, logs = observe(made, x, SEED + 1)
+    return made, priors(made, count), x, seen, logs
+
+
 def regions(count: int = 40):
     """Joint 95 % regions and intervals by the likelihood ratio."""
     yield (
@@ -217,10 +225,7 @@ def regions(count: int = 40):
         "drawn from their priors.  Ellipsoid: at the optimum, linearised."
     )
     for name in ("single photo", "three depths"):
-        made = setup(name)
-        x = truths(made, WATERS["coastal"], count, SEED)
-        seen, logs = observe(made, x, SEED + 1)
-        prior = priors(made, count)
+        made, prior, x, seen, logs = _coastal(name, count)
         found = fit_all(made, seen, prior)
         own = [made.parameters.names.index(n) for n in CONSTITUENTS]
         true = np.concatenate([x[:, own], logs], axis=1)
@@ -253,14 +258,11 @@ def draws(count: int = 40):
     """Joint 95 % regions and intervals of sampled posteriors."""
     yield (
         "# Sampled posteriors of photographs\n\n`python -m tests.acceptance.photo_rows draws`."
-        "\n\nDraws by `_photo_posterior.py`; regions as `fitting.regions.region_of` makes them of "
-        "draws, beside the ellipsoids at the optimum."
+        "\n\nDraws by `_photo_posterior.py`; regions are ellipsoids that "
+        "hold the share of the draws, beside the ellipsoids at the optimum."
     )
     for name in ("single photo", "three depths"):
-        made = setup(name)
-        x = truths(made, WATERS["coastal"], count, SEED)
-        seen, logs = observe(made, x, SEED + 1)
-        yield _regions(name, made, priors(made, count), x, seen, logs)
+        yield _regions(name, *_coastal(name, count))
     yield _regions("single photo, water from the prior", *_drawn("single photo", count))
 
 
