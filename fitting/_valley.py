@@ -22,8 +22,8 @@ from fitting.solve import covariance, value_and_jacobian
 _UNSEEN = 1.0
 # Steps upwards and their length (ln): a factor of 120 in all.
 _STEPS, _LENGTH = 16, 0.3
-# Gauss-Newton steps at each, and how much of a step is tried.
-_FOLLOW, _FRACTIONS = 4, (1.0, 0.4, 0.1)
+# Evaluations at each, the first where the step leads; what a step that led uphill is shortened to.
+_FOLLOW, _SHORTER = 5, 0.3
 
 
 class Valley(NamedTuple):
@@ -41,31 +41,35 @@ def walk(problem: AbstractProblem, x: Float[Array, " unknown"], i: Int[Array, ""
     Pure: jit and vmap it.
     """
     held = jnp.arange(x.shape[0]) == i
-    least = jnp.sum(problem.residual(x) ** 2)
 
-    def improve(x, _):
-        value, slope = value_and_jacobian(problem.residual, x)
-        cov = jnp.where(held[:, None] | held[None, :], 0.0, _conditional(slope, held))
-        step = -cov @ (value @ slope)
+    def both(x):
+        return value_and_jacobian(problem.residual, x)
 
-        def tried(fraction):
-            square = jnp.sum(problem.residual(x + fraction * step) ** 2)
-            return jnp.where(jnp.isfinite(square), square, jnp.inf)
+    # One evaluation of the model, wherever a step leads: each more would be a copy to compile.
+    def move(carry, rise):
+        x, value, slope, share = carry
+        step = -_conditional(slope, held) @ jnp.where(held, 0.0, value @ slope)
+        new = ~jnp.isnan(rise)
+        tried = jnp.where(new, jnp.where(held, x + rise, x), x + share * step)
+        there = both(tried)
+        finite = jnp.all(jnp.isfinite(there[0])) & jnp.all(jnp.isfinite(there[1]))
+        good = new | (finite & (jnp.sum(there[0] ** 2) < jnp.sum(value**2)))
+        x, value, slope = jax.tree.map(
+            lambda ours, theirs: jnp.where(good, theirs, ours), (x, value, slope), (tried, *there)
+        )
+        return (x, value, slope, jnp.where(good, 1.0, _SHORTER * share)), None
 
-        fractions = jnp.asarray(_FRACTIONS, x.dtype)
-        squares = jax.lax.map(tried, fractions)
-        best, before = jnp.argmin(squares), jnp.sum(value**2)
-        better = squares[best] < before
-        moved = x + jnp.where(better, fractions[best], 0.0) * step
-        found = (jnp.where(better, squares[best], before), jnp.sqrt(jnp.diagonal(cov)))
-        return moved, found
+    def step(carry, rise):
+        rises = jnp.full(_FOLLOW, jnp.nan, x.dtype).at[0].set(rise)
+        carry, _ = jax.lax.scan(move, carry, rises)
+        sd = jnp.sqrt(jnp.diagonal(_conditional(carry[2], held)))
+        return carry, Valley(carry[0], jnp.sum(carry[1] ** 2), jnp.where(held, 0.0, sd))
 
-    def step(x, _):
-        x = jnp.where(held, x + _LENGTH, x)
-        x, (squares, sds) = jax.lax.scan(improve, x, None, length=_FOLLOW)
-        return x, Valley(x, squares[-1] - least, sds[-1])
-
-    return jax.lax.scan(step, x, None, length=_STEPS)[1]
+    # The first point is the optimum; what stands before it is not used.
+    blank = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), jax.eval_shape(both, x))
+    rises = jnp.full(_STEPS + 1, _LENGTH, x.dtype).at[0].set(0.0)
+    points = jax.lax.scan(step, (x, *blank, jnp.ones((), x.dtype)), rises)[1]
+    return points._replace(loss=points.loss - points.loss[0])
 
 
 def _conditional(slope, held):
