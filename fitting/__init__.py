@@ -1,6 +1,7 @@
 """Fits of underwater light to water constituents: the inverse side of oceaninv."""
 
 from fitting.apparent import fit_apparent
+from fitting.assumptions import assumptions
 from fitting.bulk import fit_bulk
 from fitting.contents import AbstractContents, Milk, NaturalWater, Populations
 from fitting.observations import Bulk, Profile
@@ -36,6 +37,7 @@ __all__ = [
     "ProfileFits",
     "Quantity",
     "SmoothKd",
+    "assumptions",
     "design",
     "fit_apparent",
     "fit_bulk",

@@ -1,5 +1,6 @@
 """The posterior of photographs of one water: unknowns, priors, residuals, search."""
 
+import dataclasses
 from collections.abc import Sequence
 
 import equinox as eqx
@@ -36,6 +37,11 @@ from fitting.solve import Optimum, least_squares
 from oceaninv.transport.base import AbstractTransport
 
 _LAMP_EVENNESS = 0.1
+# sd of ln of algal absorption at given chlorophyll.  Open ocean: 0.3-0.4 (Bricaud et al. 1998: r2
+# of 0.90 at 440 nm over three decades of chlorophyll).  European coasts: 0.6 (Massicotte et al.
+# 2023, doi 10.5194/essd-15-3529-2023: 60 stations above 0.5 mg/m3 with AC-9 absorption, split by
+# least squares into the algae's mean spectrum and an exponential; 1.48 times the median deviation).
+_ALGAL_ABSORPTION = 0.55
 
 
 class PhotoProblem(AbstractProblem):
@@ -88,11 +94,17 @@ def _robust(residual, limit):
     return residual * jnp.sqrt(2.0 / (jnp.sqrt(1.0 + excess * excess) + 1.0))
 
 
+def _as_in_nature(shape: Parameter) -> Parameter:
+    if shape.name != "phytoplankton_absorption":
+        return shape
+    return dataclasses.replace(shape, spread=_ALGAL_ABSORPTION)
+
+
 def _unknowns(photos: Sequence[Photo], matrix: bool) -> Parameters:
     sun = float(np.mean([photo.solar_zenith for photo in photos]))
     unknowns = [
         *constituents(),
-        *shape_nuisances(),
+        *map(_as_in_nature, shape_nuisances()),
         pigment_packaging(),
         Parameter("solar_zenith", max(sun, 1.0), 0.1, Log(), "degree", True),
         Parameter("sunlight_tilt", 0.0, 0.05, Identity(), "1", True),

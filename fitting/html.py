@@ -57,10 +57,29 @@ def write_html(fit: Fit, path: str | Path, pictures: Sequence[tuple[str, str | P
         + "".join(f"<th>{n}</th>" for n in names)
         + f"</tr>{correlation}</table><h2>What each answer leans on</h2><table><caption>relative "
         "change if the assumption moved by one standard deviation</caption>"
-        f"{leaning}</table><h2>Data and model</h2><table>{facts}</table></html>\n"
+        f"{leaning}</table>{_fixed(fit)}<h2>Data and model</h2><table>{facts}</table></html>\n"
     )
     with whole(path) as temporary:
         temporary.write_text(page, encoding="utf-8")
+
+
+def _fixed(fit: Fit) -> str:
+    """The table of what is taken for granted, of fits of photographs."""
+    from fitting._assumed import ALTERNATIVES
+    from fitting.assumptions import assumptions
+    from fitting.photo import PhotoProblem
+
+    if not isinstance(fit.problem, PhotoProblem):
+        return ""
+    rows = "".join(
+        f"<tr><td>{name}</td><td style='text-align:left'>{_leaning(shifts)}</td></tr>"
+        for name, shifts in assumptions(fit).items()
+    )
+    meant = "; ".join(f"{name}: {words}" for name, words in ALTERNATIVES.items())
+    return (
+        "<table><caption>relative change if the model took something else for granted</caption>"
+        f"{rows}</table><p>{html.escape(meant)}.</p>"
+    )
 
 
 def _caption(fit: Fit) -> str:

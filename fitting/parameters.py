@@ -12,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from fitting._assumed import assumed, ratios
 from oceaninv import CDOM, BioOpticalModel, Constituents, Detritus, IOPs, Minerals, Phytoplankton
 from oceaninv.bio_optics import particle_phase
 from oceaninv.tables import load
@@ -277,13 +278,14 @@ def water_iops(values: Mapping[str, Float[Array, ""]], wavelength: np.ndarray):
 
     outside = wavelength[0] < 400.0 or wavelength[-1] > 700.0
     factor = get("backscatter", 1.0)
+    of_algae, of_others = ratios(values)
     model = BioOpticalModel(
         (
             Phytoplankton(
                 absorption_scale=get("phytoplankton_absorption", 1.0),
                 scattering_at_550=0.30 * get("phytoplankton_scattering", 1.0),
                 exponent=get("phytoplankton_exponent", 1.0),
-                phase=particle_phase(0.010 * factor),
+                phase=particle_phase(of_algae * factor),
                 extension="Sathyendranath1987" if outside else None,
             ),
             CDOM(slope=get("cdom_slope", 0.0176)),
@@ -291,11 +293,11 @@ def water_iops(values: Mapping[str, Float[Array, ""]], wavelength: np.ndarray):
                 slope=get("detritus_slope", 0.0123),
                 tie=get("tie", 5.0),
                 exponent=get("detritus_exponent", 0.9),
-                phase=particle_phase(0.018 * factor),
+                phase=particle_phase(of_others * factor),
             ),
             Minerals(),
         )
     )
     names = ("chlorophyll", "cdom", "detritus", "minerals")
     present = Constituents(**{n: values[n] for n in names if n in values})
-    return _shaped(_packaged(model.iops(present, wavelength), values), values)
+    return assumed(_shaped(_packaged(model.iops(present, wavelength), values), values), values)

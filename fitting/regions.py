@@ -60,8 +60,6 @@ class LikelihoodRegion:
     - `names`; `centre`: ln of their values at the optimum; `covariance`: (name, name) linearised,
       an ellipsoid to draw; `radius2`: the loss that is allowed; `least`: the sum of squares at
       the optimum `x`.
-    - `starts`: (start, unknown) coordinates of posterior draws, `at` (start, name) ln of the named
-      numbers there: searches begin at the nearest as well as at the optimum.  Empty without draws.
     """
 
     names: tuple[str, ...]
@@ -72,8 +70,6 @@ class LikelihoodRegion:
     x: np.ndarray = dataclasses.field(repr=False)
     scale: np.ndarray = dataclasses.field(repr=False)
     least: float
-    starts: np.ndarray = dataclasses.field(repr=False)
-    at: np.ndarray = dataclasses.field(repr=False)
 
     def loss(self, values: Mapping[str, float]) -> float:
         """Twice the log posterior lost by holding some or all of the numbers at these values.
@@ -89,14 +85,9 @@ class LikelihoodRegion:
         target = self.centre.copy()
         target[pick] = np.log([values[self.names[i]] for i in pick])
         root = whitening(self.covariance, pick)
-        begin = [self.x]
-        if len(self.starts):
-            begin.append(self.starts[np.argmin(np.sum(((self.at - target) @ root.T) ** 2, axis=1))])
-        found = [
-            _held(self.problem, self.names, *map(jnp.asarray, (b, self.scale, target, root)))[1]
-            for b in begin
-        ]
-        return float(np.nanmin([np.inf, *map(float, found)])) - self.least
+        given = map(jnp.asarray, (self.x, self.scale, target, root))
+        least = float(_held(self.problem, self.names, *given)[1])
+        return (least if np.isfinite(least) else np.inf) - self.least
 
     def holds(self, values: Mapping[str, float]) -> bool:
         """Whether the physical values lie inside.  Values of all names are asked for."""
@@ -205,8 +196,7 @@ def joint_region(
 
     **Returns** of a fit that keeps its posterior a `LikelihoodRegion`, of any other the ellipsoid
     of its covariance.  Either says whether it `holds` given values, and the `interval` of one
-    number within it; of a region of one name this is that number's interval by itself.  A fit
-    with draws (`fitting.sample`) lends them as further places to search from.
+    number within it; of a region of one name this is that number's interval by itself.
     """
     from scipy.stats import chi2, f
 
@@ -240,13 +230,6 @@ def joint_region(
     free = (np.zeros(count), np.zeros((count, count)))
     x, least = _held(fit.problem, names, *map(jnp.asarray, (fit.x, scale, *free)))
     centre, joint = map(np.asarray, _linear(fit.problem, names, x))
-    starts, at = np.zeros((0, len(fit.x))), np.zeros((0, count))
-    if fit.samples is not None:
-        starts = fit.samples
-        at = np.stack([
-            starts[:, known[n]] if n in known else np.log(np.asarray(scalars[n].samples))
-            for n in names
-        ], axis=1)  # fmt: skip
     return LikelihoodRegion(
-        names, centre, joint, radius2, fit.problem, np.asarray(x), scale, float(least), starts, at
+        names, centre, joint, radius2, fit.problem, np.asarray(x), scale, float(least)
     )

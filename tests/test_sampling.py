@@ -174,6 +174,32 @@ def test_what_may_be_absent_widens_what_shares_with_it():
     assert found[1] == pytest.approx(true, rel=0.09)
 
 
+class Amount(AbstractProblem):
+    """An amount and a factor on what is read of it: known the better the more there is."""
+
+    layout: Parameters = eqx.field(static=True)
+
+    def residual(self, x):
+        return jnp.stack([(jnp.exp(x[0]) - 1.0) / 0.3, (x[0] + x[1]) / 0.1])
+
+    def quantities(self, x):
+        return {}
+
+
+def test_what_is_seen_badly_reaches_as_far_as_the_longer_side_of_its_profile():
+    unknowns = Parameters([Parameter("amount", 1.0, 9.0), Parameter("f", 1.0, 9.0, nuisance=True)])
+    problem, x = Amount(unknowns), np.zeros(2)
+    cov = np.asarray(covariance(jax.jacfwd(problem.residual)(jnp.asarray(x))))
+    assert np.sqrt(cov[0, 0]) == pytest.approx(0.3)
+    found = widened(problem, unknowns, x, cov)
+    # Its profile: e^x within 1.96 x 0.3 of 1.
+    assert np.sqrt(found[0, 0]) == pytest.approx(-np.log(1 - 1.96 * 0.3) / 1.96, rel=0.02)
+    # What shares with it goes along, and its own deviation is kept on top.
+    assert 0.4 < np.sqrt(found[1, 1]) < 0.5
+    np.testing.assert_allclose(found[0, 1] / np.sqrt(found[0, 0] * found[1, 1]),
+                               cov[0, 1] / np.sqrt(cov[0, 0] * cov[1, 1]))  # fmt: skip
+
+
 def test_what_cannot_be_sampled_says_so():
     with pytest.raises(ValueError, match="keeps no posterior"):
         sample(dataclasses.replace(fit(0.0), problem=None))

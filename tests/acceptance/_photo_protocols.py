@@ -2,6 +2,7 @@
 
 import functools
 from collections.abc import Callable, Mapping
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -12,7 +13,7 @@ import numpy as np
 import oceaninv as oi
 from fitting import Background, Chart, Photo
 from fitting._photo_problem import predict_all
-from fitting._valley import reach, unseen, walk
+from fitting._valley import followed, walk
 from fitting.parameters import Parameter, Parameters, Prior
 from fitting.photo import PhotoProblem, prepare, search
 from fitting.quantities import water_quantities
@@ -28,6 +29,7 @@ WATERS = {
     "clear": (0.2, 0.03, 0.01),
     "coastal": (1.5, 0.15, 0.08),
     "turbid": (5.0, 0.5, 0.4),
+    "other coastal": (2.0, 0.15, 0.08),
 }
 
 
@@ -59,12 +61,14 @@ class Protocol(NamedTuple):
     """What is photographed, the relative sd of one reading, and what is unknown.
 
     `free`: nuisances by the start of their names, each with the spread of its prior, or None for
-    the fit's own; every other nuisance is known.  Of names that fit, the first counts.
+    the fit's own; every other nuisance is known.  Of names that fit, the first counts.  `known`:
+    nuisances that are known to be elsewhere than at the centres of their priors.
     """
 
     photos: Callable[[], list[Photo]]
     noise: float
     free: Mapping[str, float | None]
+    known: Mapping[str, float] = MappingProxyType({})
 
 
 def photo(ranges, depth=5.0, zeniths=(90.0,), range_sd=0.0, **kwargs: Any) -> Photo:
@@ -81,12 +85,28 @@ _ALGAE = ("phytoplankton_exponent", "phytoplankton_absorption", "phytoplankton_s
 _SHAPES = ("cdom_slope", "detritus_", *_ALGAE, "backscatter")
 
 
+# Spectra of scattering as Gordon & Morel 1983 and Stramski et al. 2001, and bb/b of algae and other
+# particles further apart than by default (0.005 and 0.025, not 0.010 and 0.018).
+_OTHER = {
+    "phytoplankton_exponent": 1.0,
+    "detritus_exponent": 0.9,
+    "assumed_backscatter_split": 1.0,
+}
+
+
 def _three_depths():
     return [photo((1.0,), d, range_sd=0.05, exposure=1.0) for d in (2.0, 8.0, 15.0)]
 
 
 PROTOCOLS = {
     "ideal": Protocol(lambda: [photo((0.5, 1.0, 2.0))], 0.01, {"gain": None}),
+    "ideal, other reading": Protocol(
+        lambda: [photo((0.5, 3.0, 8.0), 8.0)], 0.01, {"gain": None}, _OTHER
+    ),
+    "three depths, other reading": Protocol(_three_depths, 0.03, _FIELD, _OTHER),
+    "single photo, other reading": Protocol(
+        lambda: [photo((1.0, 3.0), range_sd=0.05)], 0.03, _FIELD, _OTHER
+    ),
     "tie unknown": Protocol(lambda: [photo((0.5, 1.0, 2.0))], 0.01, {"gain": None, "tie": TIE}),
     "tie and all else unknown": Protocol(lambda: [photo((0.5, 1.0, 2.0))], 0.01, {"": None}),
     "three depths": Protocol(_three_depths, 0.03, _FIELD),
@@ -113,9 +133,9 @@ class Setup(NamedTuple):
     - `forward` (x) -> (readings (reading, channel), ln quantities); readings of all photographs
       one below the other.
     - `fit` (readings, start, prior) -> a dictionary of numbers; `derive` (x) -> ln quantities.
-    - `problem` (readings, prior) -> the posterior of one draw; `walk` (readings, prior, x, i) ->
-      its valley along the unknown i; `held` (readings, prior, x, target, root) -> its optimum and
-      sum of squares with ln of NAMES held.
+    - `problem` (readings, prior) -> the posterior of one draw; `walk` (readings, prior, x, i, by)
+      -> its valley along the unknown i in steps of `by`; `held` (readings, prior, x, target, root)
+      -> its optimum and sum of squares with ln of NAMES held.
     """
 
     parameters: Partly
@@ -147,7 +167,8 @@ def _unknowns(protocol: Protocol, water: tuple[float, ...]):
         if match or not p.nuisance:
             free.append(Parameter(p.name, p.centre, spread, p.transform, p.unit, p.nuisance))
         else:
-            known.append((p.name, p.centre))
+            known.append((p.name, protocol.known.get(p.name, p.centre)))
+    known += [(n, v) for n, v in protocol.known.items() if n not in parameters.names]
     return Partly(free, known), readings, sunlight
 
 
@@ -209,7 +230,7 @@ def setup(name: str, water: tuple[float, ...] = WATERS["coastal"]) -> Setup:
     # Fits one after the other: side by side, all would take as many steps as the longest.
     fits = jax.jit(lambda *all_: jax.lax.map(lambda one: fit(*one), all_))
     programs = (jax.jit(jax.vmap(forward)), fits, derive)
-    along = jax.jit(lambda seen, prior, x, i: walk(problem(seen, prior), x, i))
+    along = jax.jit(lambda seen, prior, x, i, by: walk(problem(seen, prior), x, i, by))
     scale = np.array([1.0 if p.spread is None else p.spread for p in parameters])
 
     def hold(seen, prior, x, target, root):
@@ -276,9 +297,11 @@ def _stated(made: Setup, seen, prior: Prior, found) -> np.ndarray:
     sds = np.sqrt(np.einsum("dii->di", found["cov"]))
     for d, sd in enumerate(sds):
         own = jax.tree.map(lambda row, d=d: row[d], prior)
-        for i in unseen(made.parameters, sd.copy()):
-            valley = made.walk(seen[d], own, found["x"][d], i)
-            sds[d] = np.maximum(sds[d], reach(found["x"][d], valley, made.parameters))
+
+        def along(i, length, d=d, own=own):
+            return made.walk(seen[d], own, found["x"][d], i, np.asarray(length))
+
+        sds[d] = followed(along, made.parameters, found["x"][d], sd.copy())
     return sds
 
 
