@@ -4,9 +4,11 @@ Each alternative is a coordinate of its own, named `assumed_<alternative>`: 0 is
 is, 1 the alternative.  Waters that name none are computed without any of this.
 """
 
+import functools
 from collections.abc import Mapping
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -85,15 +87,30 @@ def _one_spectrum(iops: IOPs, share) -> IOPs:
     return eqx.tree_at(lambda i: i.a_components, iops, changed)
 
 
-def _particles(iops: IOPs) -> tuple[int, int, float, float]:
-    """Rows of the two shapes that particles are mixed of, and their bb/b."""
-    low, high = particle_phase(0.01).phases
-    rows = [next(i for i, p in enumerate(iops.phases) if p is one) for one in (low, high)]
-    return (*rows, float(low.backscatter_ratio), float(high.backscatter_ratio))  # pyright: ignore
+@functools.cache
+def _average() -> phase.AbstractPhase:
+    with jax.ensure_compile_time_eval():
+        return phase.petzold()
+
+
+@functools.cache
+def _ratios() -> tuple[float, float, float]:
+    """bb/b of the two shapes that particles are mixed of, and of Petzold's average."""
+    with jax.ensure_compile_time_eval():
+        shapes = (*particle_phase(0.01).phases, _average())
+        low, high, average = (float(phase.backscatter_ratio_of(shape)) for shape in shapes)
+    return low, high, average
+
+
+def _particles(iops: IOPs) -> tuple[int, int]:
+    """Rows of the two shapes that particles are mixed of."""
+    # Found by what they are: a row's object is another after every change of the water.
+    low, high = (i for i, p in enumerate(iops.phases) if isinstance(p, phase.FournierForand))
+    return low, high
 
 
 def _slanted(iops: IOPs, share) -> IOPs:
-    low, high, least, most = _particles(iops)
+    (low, high), (least, most, _) = _particles(iops), _ratios()
     b = iops.b_components
     total = b[low] + b[high]
     factor = jnp.asarray(550.0 / iops.wavelength, b.dtype) ** (_SLANT * share)
@@ -105,9 +122,8 @@ def _slanted(iops: IOPs, share) -> IOPs:
 
 def _petzold(iops: IOPs, share) -> IOPs:
     """As much of the average as leaves b and bb as they are, the rest by either shape."""
-    low, high, least, most = _particles(iops)
-    b, other = iops.b_components, phase.petzold()
-    ratio = float(phase.backscatter_ratio_of(other))
+    (low, high), (least, most, ratio) = _particles(iops), _ratios()
+    b, other = iops.b_components, _average()
     # An amount p of the average takes the place of these amounts of the two shapes.
     of_high = (ratio - least) / (most - least)
     p = share * jnp.minimum(b[low] / (1.0 - of_high), b[high] / of_high)

@@ -293,7 +293,7 @@ def test_the_sensitivity_table_names_the_assumption_that_is_broken(nuisance, val
     away = away - _off(fitted(), seen()[1])[0]
     near = {n: abs(away @ row) / max(np.linalg.norm(row), 1e-9) for n, row in table.items()}
     assert max(near, key=near.get) == nuisance
-    assert near[nuisance] > 0.95 * np.linalg.norm(away)
+    assert near[nuisance] > 0.9 * np.linalg.norm(away)
     # And by as much as it says, to first order.
     known = next(p for p in fit.parameters if p.name == nuisance)
     there, centre = known.transform.coordinate(value), known.transform.coordinate(known.centre)
