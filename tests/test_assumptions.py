@@ -110,7 +110,6 @@ def test_answers_err_as_the_row_of_what_does_not_hold_says():
     for name, row in rows.items():
         away = (off(name)[0] - plain) / sd
         # Another model's error is the opposite of how the answer would move with it.
-        print(name, np.round(away, 3), np.round(-row, 3))
         assert np.max(np.abs(away + row)) < 0.1 + 0.3 * np.max(np.abs(row))
         near = {n: abs(away @ r) / np.linalg.norm(r) for n, r in rows.items()}
         if np.linalg.norm(away) > 0.1:
