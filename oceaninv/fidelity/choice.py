@@ -23,19 +23,17 @@ QUANTITIES = ("irradiance", "radiance", "photograph")
 # of which only Kd is known.
 _CLOSED = (TwoStream(), FourStream())
 LADDERS: Mapping[str, tuple[AbstractTransport, ...]] = {
-    "irradiance": (*_CLOSED, *(PlaneParallel(n, 1) for n in (4, 8, 16))),
-    # Among dials of 4-28 streams and 3-28 orders those that err less than all that cost less.
+    "irradiance": (*_CLOSED, *(PlaneParallel(n, 1) for n in (4, 8, 16, 24, 32))),
+    # No more rungs than can be told apart beforehand: with all dials of 8-40 streams that err less
+    # than what costs less, plans would be as dear.
     "radiance": (
         *_CLOSED,
-        *(
-            PlaneParallel(n, m)
-            for n, m in ((8, 6), (10, 10), (12, 12), (16, 12), (20, 20), (28, 28))
-        ),
+        *(PlaneParallel(n, m) for n, m in ((8, 6), (14, 12), (20, 20), (40, 40))),
     ),
-    # A camera looks about the horizon, where a few orders of azimuth do.
+    # A camera looks about the horizon, where half as many orders of azimuth do.
     "photograph": (
         *_CLOSED,
-        *(PlaneParallel(n, m) for n, m in ((8, 6), (12, 6), (16, 8), (20, 20), (28, 28))),
+        *(PlaneParallel(n, m) for n, m in ((8, 6), (12, 6), (16, 8), (28, 14), (40, 20))),
     ),
 }
 

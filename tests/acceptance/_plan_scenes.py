@@ -4,6 +4,8 @@ Waters of the default bio-optical model, log-uniform over chlorophyll 0.01-30 mg
 and detritus 0.001-5 /m; sun 0-75 degrees in air, half the time with a sky that sends up to half of
 the light; flat surface; depth log-uniform over 0.5-40 m, half the time with a floor there (its
 reflectance 0.02-0.5; elsewhere a black one at 1 km, which nothing sees: one program serves both).
+Eight bands of 400-700 nm; radiance, which costs
+most, of every second one, the odd or the even ones by turns.
 Irradiance: ten depths down to 1 % of the light or the floor, bands apart.
 Radiance and photograph: an eye at a random share of the depth, but where some band still has 1 %
 of its light; radiance in 20 directions, a lattice turned at random, of the bands that have 1 %
@@ -21,15 +23,19 @@ import numpy as np
 import oceaninv as oi
 from oceaninv.fidelity import choice
 
-WAVELENGTH = np.array([420.0, 490.0, 560.0, 630.0])
-REFERENCE = oi.PlaneParallel(streams=40)
+WAVELENGTH = np.linspace(400.0, 700.0, 8)
+REFERENCES = {"irradiance": oi.PlaneParallel(64, 1), "radiance": oi.PlaneParallel(64, 40)}
 DIRECTIONS, CHUNK = 20, 10
-# Everything plan() may choose for water alone; photographs are made of radiance.
+# What plan() may choose for water alone, and dials between; photographs are made of radiance.
+TRIED = tuple(
+    oi.PlaneParallel(n, m) for n, m in ((10, 10), (12, 12), (16, 12), (24, 24), (28, 28), (20, 10))
+)
 RUNS = {
     "irradiance": choice.LADDERS["irradiance"],
     "radiance": tuple(
         {
-            choice.rung(t): t for t in (*choice.LADDERS["radiance"], *choice.LADDERS["photograph"])
+            choice.rung(t): t
+            for t in (*choice.LADDERS["radiance"], *choice.LADDERS["photograph"], *TRIED)
         }.values()
     ),
 }
@@ -48,6 +54,7 @@ class Draw(eqx.Module):
     reflectance: jax.Array
     share: jax.Array  # of the depth, where the eye is
     views: jax.Array  # (direction + pixel, 3)
+    first: jax.Array  # of the bands of radiance: 0 or 1
 
 
 def draw(count: int, seed: int) -> Draw:
@@ -66,9 +73,8 @@ def draw(count: int, seed: int) -> Draw:
     reflectance = np.where(floor, reflectance, 0.0)
     share = rng.uniform(0.05, 0.95, count)
     views = np.stack([_views(rng, z) for z in zenith])
-    return Draw(
-        *(jnp.asarray(v) for v in (*water, zenith, sky, depth, bottom, reflectance, share, views))
-    )
+    rows = (*water, zenith, sky, depth, bottom, reflectance, share, views, np.arange(count) % 2)
+    return Draw(*(jnp.asarray(v) for v in rows))
 
 
 def _views(rng, zenith: float) -> np.ndarray:
@@ -93,12 +99,19 @@ def _views(rng, zenith: float) -> np.ndarray:
     return np.concatenate([found, pixels / np.linalg.norm(pixels, axis=1, keepdims=True)])
 
 
-def scene(p: Draw) -> oi.Scene:
-    """One scene; `sky` of the light below the surface is diffuse."""
+def scene(p: Draw, quantity: str, wavelength: np.ndarray = WAVELENGTH) -> oi.Scene:
+    """One scene; `sky` of the light below the surface is diffuse.
+
+    Bands of radiance are called by the same wavelengths in every scene: one program serves all.
+    """
     water = oi.BioOpticalModel().iops(
-        oi.Constituents(p.chlorophyll, cdom=p.cdom, detritus=p.detritus), WAVELENGTH
+        oi.Constituents(p.chlorophyll, cdom=p.cdom, detritus=p.detritus), wavelength
     )
-    one = jnp.ones(len(WAVELENGTH))
+    if quantity != "irradiance":
+        pick = p.first + 2 * jnp.arange(len(wavelength) // 2)
+        rows = (water.a_components[:, pick], water.b_components[:, pick])
+        water = oi.IOPs(wavelength[::2], *rows, water.phases)
+    one = jnp.ones(len(water.wavelength))
     bare = oi.Scene(water, oi.Light(p.zenith, one), oi.FlatSurface())
     cosine, beam = bare.beam()
     diffuse = p.sky / (1.0 - p.sky) * cosine * beam / (np.pi * (1 - 0.0675))
@@ -122,15 +135,19 @@ def levels(this: oi.Scene, p: Draw):
 
 
 @functools.partial(eqx.filter_jit)
-def _answers(chunk: Draw, rung, quantity: str):
+def _answers(chunk: Draw, rung, quantity: str, together: bool = False):
+    """`together`: irradiance of all bands at the depths of one, as people ask for it."""
+
     def one(p):
-        this = scene(p)
+        this = scene(p, quantity)
         depths, eye, lit = levels(this, p)
+        if together:
+            return oi.irradiance(this, depths.max(axis=1), rung).Ed.value
         if quantity == "irradiance":
             # Every band at its own depths: the solution is shared.
             every = jax.vmap(lambda z: oi.irradiance(this, z, rung).Ed.value, in_axes=1, out_axes=2)
             field = every(depths)
-            return jnp.stack([field[:, i, i] for i in range(len(WAVELENGTH))], axis=1), lit
+            return jnp.stack([field[:, i, i] for i in range(field.shape[1])], axis=1), lit
         origin = jnp.zeros_like(p.views).at[:, 2].set(eye)
         return oi.radiance(this, oi.Rays(origin, p.views), rung).value, lit
 
@@ -139,22 +156,26 @@ def _answers(chunk: Draw, rung, quantity: str):
 
 def answers(draws: Draw, rung, quantity: str):
     """(scene, row, wl) values and (scene, wl) lit of one rung, and processor seconds per scene."""
-    count = draws.depth.shape[0]
+    count, flux = draws.depth.shape[0], quantity == "irradiance"
     out, seconds = [], []
     for first in range(0, count, CHUNK):
         index = jnp.arange(first, first + CHUNK) % count
         chunk = jax.tree.map(lambda v, i=index: v[i], draws)
+        if flux:
+            out.append(jax.tree.map(np.asarray, _answers(chunk, rung, quantity)))
         start = time.process_time()
-        out.append(jax.tree.map(np.asarray, _answers(chunk, rung, quantity)))
+        found = jax.tree.map(np.asarray, _answers(chunk, rung, quantity, flux))
         seconds.append((time.process_time() - start) / CHUNK)
+        if not flux:
+            out.append(found)
     values, lit = (np.concatenate(part)[:count] for part in zip(*out, strict=True))
     return values, lit, float(np.min(seconds[1:] or seconds))  # others may share the machine
 
 
 @functools.cache
-def channels() -> np.ndarray:
+def channels(first: int) -> np.ndarray:
     """(channel, wl) weights of the photograph."""
-    return np.asarray(oi.spectrum.generic_camera().weights(WAVELENGTH))
+    return np.asarray(oi.spectrum.generic_camera().weights(WAVELENGTH[first::2]))
 
 
 def errors(value, truth, lit, quantity: str) -> np.ndarray:
@@ -165,5 +186,6 @@ def errors(value, truth, lit, quantity: str) -> np.ndarray:
     if quantity == "radiance":
         part = np.where(lit[:, None, :], relative, np.nan)[:, :DIRECTIONS]
         return np.nanquantile(part.reshape(len(part), -1), 0.95, axis=1)
-    seen, true = (v[:, DIRECTIONS:] @ channels().T for v in (value, truth))
+    weights = np.stack([channels(i % 2).T for i in range(len(value))])
+    seen, true = (v[:, DIRECTIONS:] @ weights for v in (value, truth))
     return (np.sqrt(np.mean((seen - true) ** 2, axis=1)) / true.mean(axis=1)).max(axis=1)
