@@ -59,6 +59,13 @@ def test_promises_are_kept_or_refused_in_words():
     assert "no rung promises" in hopeless.why
 
 
+def test_waters_unlike_those_of_the_fit_are_said_to_be():
+    assert "a guess" not in oi.plan(_scene(sky=0.05), 0.03).why
+    like = _water()
+    white = oi.IOPs(WAVELENGTH, 1e-3 * like.a_components, 100.0 + like.b_components, like.phases)
+    assert "a guess" in oi.plan(_scene(water=white), 0.03).why
+
+
 def test_every_rung_has_its_numbers():
     for quantity in choice.QUANTITIES:
         for transport in choice.LADDERS[quantity]:

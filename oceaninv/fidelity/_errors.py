@@ -167,6 +167,24 @@ def centres() -> np.ndarray:
     return np.loadtxt(CENTRES, delimiter=",", comments="#", ndmin=2)
 
 
+@functools.cache
+def _covered() -> float:
+    """The least that a Gaussian about the nearest centre is in scenes like those of the fit.
+
+    Every band there lies as near to a centre as the two nearest centres to one another; here half
+    as far again counts as alike.
+    """
+    about = centres()
+    squares = ((about[:, None, :] - about) ** 2).sum(axis=2) + np.diag(np.full(len(about), np.inf))
+    return float(np.exp(-0.5 * (1.5 / WIDTH) ** 2 * squares.min()))
+
+
+def unlike(views: list["View"]) -> bool:
+    """Whether some band has numbers far from those of all bands in which errors were measured."""
+    count = len(centres())
+    return any(float(rows[:, -count:].max(axis=1).min()) < _covered() for _, rows in views)
+
+
 View = tuple[Look, np.ndarray]  # and its features
 
 
