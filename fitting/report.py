@@ -189,7 +189,10 @@ def picture(fit: Fit, path: str | Path, constituents: Fit | None = None) -> None
         draw(data, fit)
         _draw_spectra(spectra, fit, constituents)
     _draw_unknowns(unknowns, constituents or fit, fit)
-    figure.suptitle(str(fit.metadata.get("source", "")), fontsize=9, color="0.35")
+    # A picture gets passed on: where on this machine the file lay is nobody's business.
+    sources = str(fit.metadata.get("source", "")).split("; ")
+    title = "; ".join(Path(one).name if Path(one).is_absolute() else one for one in sources)
+    figure.suptitle(title, fontsize=9, color="0.35")
     with whole(path) as temporary:
         figure.savefig(temporary, dpi=130)
 
