@@ -16,7 +16,7 @@ from oceaninv.phase import (
     HenyeyGreenstein,
     Seawater,
 )
-from oceaninv.transport import _walks
+from oceaninv.transport import _forward, _ordered, _walks
 
 WAVELENGTH = np.array([450.0, 550.0])
 A = jnp.asarray
@@ -196,7 +196,7 @@ def test_layers_surface_floor_and_sky_against_the_exact_radiance(layered):
 
 def test_layers_surface_floor_and_sky_against_the_exact_irradiance():
     depths = A([0.0, 1.0, 2.5, 5.0])
-    found = oi.irradiance(LAYERED, depths, oi.MonteCarlo(2**15), key=jax.random.key(0))
+    found = oi.irradiance(LAYERED, depths, oi.MonteCarlo(2**14), key=jax.random.key(0))
     exact = oi.irradiance(LAYERED, depths, oi.PlaneParallel(16))
     for name in ("Ed", "Eu", "E0"):
         within(getattr(found, name), getattr(exact, name).value)
@@ -207,6 +207,46 @@ def test_chunks_do_not_matter(layered, monkeypatch):
     found = oi.radiance(LAYERED, LOOKS, oi.MonteCarlo(2**12), key=jax.random.key(3))
     np.testing.assert_allclose(found.value, layered.value, rtol=1e-12)
     np.testing.assert_allclose(found.stderr, layered.stderr, rtol=1e-9)
+    transport = oi.MonteCarlo(2**12, 6, thin=False)
+    fluxes = below(P, jax.random.key(3), transport)
+    monkeypatch.setattr(_walks, "_CHUNK", 100)
+    jax.clear_caches()
+    for one, other in zip(fluxes, below(P, jax.random.key(3), transport), strict=True):
+        np.testing.assert_allclose(one, other, rtol=1e-9)
+
+
+def below(p, key, transport):
+    """(value, stderr) of Ed, Eu and E0 at two depths."""
+    found = oi.irradiance(nadir(p), A([1.0, 6.0]), transport, key=key)
+    parts = found.Ed, found.Eu, found.E0
+    return tuple(jnp.stack([getattr(e, name) for e in parts]) for name in ("value", "stderr"))
+
+
+def test_the_error_of_ordered_walks_is_that_between_keys():
+    """Of 48 keys, though the walks of a group are not independent."""
+    keys, transport = jax.random.split(jax.random.key(11), 48), oi.MonteCarlo(2**12, 8, False)
+    value, stderr = jax.lax.map(lambda key: below(THICK, key, transport), keys)
+    ratio = value.std(0, ddof=1) / np.sqrt((stderr**2).mean(0))
+    assert (ratio > 0.7).all(), ratio
+    assert (ratio < 1.4).all(), ratio
+
+
+@pytest.mark.slow
+def test_order_pays(monkeypatch):
+    """Walks that take the same points in no order have greater errors."""
+    monkeypatch.setattr(_forward, "grouped", lambda paths: 1024)
+    transport, key = oi.MonteCarlo(2**15, 8, thin=False), jax.random.key(12)
+    ordered = below(THICK, key, transport)[1]
+    monkeypatch.setattr(
+        _ordered, "places", lambda z, _: jnp.broadcast_to(jnp.arange(z.shape[1]), z.shape)
+    )
+    jax.clear_caches()
+    ratio = below(THICK, key, transport)[1] / ordered
+    jax.clear_caches()
+    assert np.exp(np.log(ratio).mean()) > 1.3, ratio
+
+
+THICK = A([0.3, 0.5, 0.5, 0.3])
 
 
 _ON_DEVICES = """
@@ -219,7 +259,9 @@ scene, done = nadir(jnp.asarray([0.065, 0.178, 0.8, 0.3])), []
 mc = oi.MonteCarlo(33 * 32, 6, progress=lambda i, n: done.append((int(i), int(n))))
 seen = oi.radiance(scene, down(), mc, key=jax.random.key(1))
 jax.effects_barrier()
-print(jax.local_device_count(), float(seen.value[0, 0]), float(seen.stderr[0, 0]))
+below = oi.irradiance(scene, jnp.ones(1), oi.MonteCarlo(65 * 32, 6), key=jax.random.key(1)).Eu
+numbers = [found[0, 0].item() for e in (seen, below) for found in (e.value, e.stderr)]
+print(jax.local_device_count(), *numbers)
 assert sorted(done) == [(i, done[0][1]) for i in range(done[0][1])], done
 """
 
@@ -275,6 +317,11 @@ def test_frozen_walks_serve_other_waters():
         found = oi.radiance(scene, rays, frozen, key=jax.random.key(4))
         within(found, oi.radiance(scene, rays, oi.PlaneParallel(32)).value)
         assert (frozen.reuse(scene, rays, jax.random.key(4)) > 0.5).all()
+        depths = A([0.0, 4.0, 10.0])
+        found = oi.irradiance(scene, depths, frozen, key=jax.random.key(5))
+        exact = oi.irradiance(scene, depths, oi.PlaneParallel(32))
+        for name in ("Ed", "Eu", "E0"):
+            within(getattr(found, name), getattr(exact, name).value)
     with pytest.warns(UserWarning, match="freeze the transport again"):
         frozen.reuse(nadir(p * A([0.05, 0.05, 1.0, 1.0])), rays, jax.random.key(4))
 

@@ -5,6 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy import stats
+from scipy.stats import qmc
 
 from oceaninv.phase import (
     FournierForand,
@@ -14,7 +15,7 @@ from oceaninv.phase import (
     TwoTermHenyeyGreenstein,
     petzold,
 )
-from oceaninv.transport import _sampling
+from oceaninv.transport import _ordered, _sampling
 
 PHASES = {
     "isotropic": Isotropic(),
@@ -89,6 +90,44 @@ def test_lanes_share_the_strata_of_every_number():
     for x, y in pairs:
         counts, *_ = np.histogram2d(x, y, 16, ((0, 1), (0, 1)))
         assert stats.chisquare(counts.ravel()).pvalue > 1e-4
+
+
+def test_the_net_is_sobols_in_the_order_of_its_first_coordinate():
+    for count in (1, 32, 1024):
+        points = qmc.Sobol(7, scramble=False, bits=32).random(count)
+        exact = points[np.argsort(points[:, 0])][:, 1:].T
+        own = _ordered._reversed(_ordered.net(count)) / 2.0**32
+        np.testing.assert_array_equal(own, exact)
+
+
+def test_scrambled_points_stay_a_net_and_are_uniform_one_by_one():
+    """Neighbours in a row share the unit interval; over units, one lane's numbers are uniform,
+    singly and in pairs, within an event and between two."""
+    words, units = _sampling.key_words(jax.random.key(9)), jnp.arange(2**14, dtype=jnp.uint32)
+    first, second = (
+        np.asarray(_ordered.points(units, jnp.uint32(t), words, 32, jnp.float64)) for t in (0, 1)
+    )
+    for row in (2, 4, 8, 16, 32):
+        strata = np.sort((row * first[0]).astype(int).reshape(len(units), -1, row), axis=2)
+        np.testing.assert_array_equal(strata, np.broadcast_to(np.arange(row), strata.shape))
+    for number in first:
+        strata = np.sort((32 * number).astype(int), axis=1)
+        np.testing.assert_array_equal(strata, np.tile(np.arange(32), (len(units), 1)))
+    pairs = [(first[i][:, 5], first[j][:, 5]) for i in range(6) for j in range(i)]
+    pairs += [(first[i][:, 5], second[j][:, 5]) for i in range(6) for j in range(6)]
+    for x, y in pairs:
+        counts, *_ = np.histogram2d(x, y, 16, ((0, 1), (0, 1)))
+        assert stats.chisquare(counts.ravel()).pvalue > 1e-4
+
+
+def test_places_follow_the_curve():
+    """A permutation by unit; lanes of one quarter of the square stand together."""
+    height, steep = np.random.default_rng(1).uniform(size=(2, 3, 64))
+    place = np.asarray(_ordered.places(jnp.asarray(height), jnp.asarray(steep)))
+    np.testing.assert_array_equal(np.sort(place, axis=1), np.tile(np.arange(64), (3, 1)))
+    quarter = (2 * steep).astype(int) * 2 + (2 * height).astype(int)
+    along = np.take_along_axis(quarter, place, axis=1)
+    np.testing.assert_array_equal(along, np.sort(quarter, axis=1))
 
 
 def test_draws_of_neighbours_and_events_are_unrelated():

@@ -11,25 +11,33 @@ from jaxtyping import Array, Float, UInt32
 from oceaninv._numerics import safe_sqrt
 from oceaninv.optics import fresnel_from_air, refracted_cosine
 from oceaninv.scene import Scene
-from oceaninv.transport import _paths, _walks, _weights
+from oceaninv.transport import _ordered, _paths, _walks, _weights
 from oceaninv.transport._converted import coloured, converted
 from oceaninv.transport._guard import fixed, fixed_scene
+from oceaninv.transport._ordered import Order
 from oceaninv.transport._paths import Lanes, Proposal, Vertex
-from oceaninv.transport._sampling import spread, uniforms
 from oceaninv.transport._walks import GROUP, Plan, World
 from oceaninv.transport.base import Estimate
 
 _GRAZING = 0.03  # below this cosine, 1/cosine counts as its mean over the band, 2/0.03
 _FAR = 8.0  # e-foldings of the light: beyond them no walks are gathered
-_ASIDE = 0x1B873593  # sets the draws of directions aside apart
+_GROUPS = 64  # of walks, at least, where there are so many: their scatter tells the error
+_MOST = 8192  # walks in a group
 _SKY = 0x51ED270B  # sets the draws of the sky's directions apart
 
 
-def _from_sky(world: World, unit: UInt32[Array, " unit"]):
+def grouped(paths: int) -> int:
+    """Walks that are put in order together: the more, the better they cover what there is."""
+    size = GROUP
+    while size < _MOST and 2 * size * _GROUPS <= paths:
+        size *= 2
+    return size
+
+
+def _from_sky(world: World, unit: UInt32[Array, " unit"], group: int):
     """Directions and weights of walks that enter from a uniform sky, as flux."""
-    path = unit[:, None] * jnp.uint32(GROUP) + jnp.arange(GROUP, dtype=jnp.uint32)[None, :]
     words = world.words ^ jnp.uint32(_SKY)
-    u = uniforms(path, jnp.uint32(0), words, world.proposal.rate.dtype)
+    u = _ordered.points(unit, jnp.uint32(0), words, group, world.proposal.rate.dtype, (0, 1))
     above = jnp.sqrt(u[0])
     index = world.domain.refraction
     weight = jnp.ones_like(above)
@@ -63,10 +71,8 @@ _at_depths = jax.vmap(_crossing, (None, 0, None, None, None), 1)
 def _aside(world: World, depths: Array, before: Lanes, after: Lanes, vertex: Vertex, unit, t):
     """What each scattering brings to the depths in a direction drawn evenly: light that a peaked
     phase function seldom turns round.  Its share is what the walk's own direction leaves."""
-    lane = jnp.arange(before.weight.shape[1], dtype=jnp.uint32)[None, :]
-    words = world.words ^ jnp.uint32(_ASIDE)
-    path = unit[:, None] * jnp.uint32(GROUP) + lane
-    u = spread(uniforms(path, t, words, before.weight.dtype), unit, t, words)
+    lanes, dtype = before.weight.shape[1], before.weight.dtype
+    u = _ordered.points(unit, t, world.words, lanes, dtype, (4, 5))
     steep = 2.0 * u[0] - 1.0
     level, azimuth = safe_sqrt(1.0 - steep**2), 2.0 * np.pi * u[1]
     direction = (level * jnp.cos(azimuth), level * jnp.sin(azimuth), steep)
@@ -78,18 +84,19 @@ def _aside(world: World, depths: Array, before: Lanes, after: Lanes, vertex: Ver
     return _at_depths(world, depths, lanes, 4.0 * np.pi * share * after.weight, scattered)
 
 
+def _fallen(world: World, z: Array) -> Array:
+    """By how many e-foldings the light has fallen off at a depth, at most _FAR."""
+    depth = jnp.zeros_like(z)
+    pairs = zip(_paths.bounds(world.domain), world.proposal.decay, strict=True)
+    for (top, bottom), rate in pairs:
+        depth = depth + rate * (jnp.clip(z, top, bottom) - top)
+    return jnp.minimum(depth, _FAR)
+
+
 def _worth(world: World, depths: Array, z: Array) -> Array:
     """How much a walk at z may bring to the depths, each relative to the light that is there: it
     falls off like the light itself.  Walks gather where there is little light to count."""
-
-    def fallen(z):
-        depth = jnp.zeros_like(z)
-        pairs = zip(_paths.bounds(world.domain), world.proposal.decay, strict=True)
-        for (top, bottom), rate in pairs:
-            depth = depth + rate * (jnp.clip(z, top, bottom) - top)
-        return jnp.minimum(depth, _FAR)
-
-    own, wanted = fallen(z)[..., None], fallen(depths)[None, None, :]
+    own, wanted = _fallen(world, z)[..., None], _fallen(world, depths)[None, None, :]
     return jnp.mean(jnp.exp(jnp.minimum(own, 2.0 * wanted - own)), axis=-1)
 
 
@@ -112,11 +119,17 @@ def entry(scene: Scene) -> Entry:
 
 
 def enter(
-    world: World, entry: Entry, unit: UInt32[Array, " unit"], groups: int, bands: int | None
+    world: World,
+    entry: Entry,
+    unit: UInt32[Array, " unit"],
+    groups: int,
+    bands: int | None,
+    group: int = GROUP,
 ) -> tuple[Lanes, Array, Array]:
-    """Walks just below the surface, for unit flux: `groups` of the sun, then as many of the sky.
+    """Walks just below the surface, for unit flux: `groups` of the sun, then as many of the sky,
+    each of `group` walks.
     With them whether they are the sun's, (unit, 1), and their spectra, (unit, wl)."""
-    shape, cosine = (len(unit), GROUP), entry.cosine
+    shape, cosine = (len(unit), group), entry.cosine
     level = -safe_sqrt(1.0 - cosine**2)
     beam = (level, jnp.zeros_like(level), cosine)
     direction = tuple(jnp.broadcast_to(part, shape) for part in beam)
@@ -124,7 +137,7 @@ def enter(
     spectrum = jnp.broadcast_to(entry.fluxes[0], (len(unit), *entry.fluxes[0].shape))
     if len(entry.fluxes) > 1:
         sunlit = (unit < groups)[:, None]
-        other, through = _from_sky(world, unit)
+        other, through = _from_sky(world, unit, group)
         direction = tuple(jnp.where(sunlit, s, o) for s, o in zip(direction, other, strict=True))
         weight = jnp.where(sunlit, weight, through)
         spectrum = jnp.where(sunlit, *(flux[None, :] for flux in entry.fluxes))
@@ -147,14 +160,15 @@ def _elastic(
     depths: Array,
     plan: Plan,
     entry: Entry,
-    groups: int,
+    group: int,
     gathers: bool,
 ):
-    """Group sums for unit flux on the surface, (unit, depth, 3, wl), in all and late; `gathers`:
-    whether walks are drawn anew by what they are worth."""
+    """Means by source of groups of walks for unit flux on the surface, (unit, depth, 3, wl), in all
+    and late; `gathers`: whether walks are drawn anew by what they are worth."""
+    groups = -(-plan.paths // (group * len(entry.fluxes)))
 
     def run(unit):
-        lanes, sunlit, _ = enter(world, entry, unit, groups, _walks.carried(scene))
+        lanes, sunlit, _ = enter(world, entry, unit, groups, _walks.carried(scene), group)
         lanes = lanes._replace(own=jnp.ones_like(lanes.weight))
 
         def score(world, before, ahead, after, vertex, t):
@@ -164,14 +178,16 @@ def _elastic(
             found = _at_depths(world, depths, before, new, None)
             return found + _aside(world, depths, before, after, vertex, unit, t)
 
-        def aim(lanes):
-            return _worth(world, depths, lanes.position[2])
-
+        order = Order(
+            lambda lanes: -jnp.expm1(-_fallen(world, lanes.position[2])),
+            (lambda lanes: _worth(world, depths, lanes.position[2])) if gathers else None,
+        )
         shape = (len(unit), depths.shape[0], 3, len(scene.wavelength))
         blank = jnp.zeros(shape, lanes.weight.dtype)
-        return _walks.walk(world, lanes, unit, plan, score, blank, aim if gathers else None)[0]
+        return _walks.walk(world, lanes, unit, plan, score, blank, order)[0]
 
-    return _walks.in_chunks(run, groups * len(entry.fluxes), plan.progress)
+    sums = _walks.in_chunks(run, groups * len(entry.fluxes), plan.progress, group)
+    return split(sums, entry, groups)
 
 
 def _inelastic(
@@ -180,10 +196,10 @@ def _inelastic(
     depths: Array,
     plan: Plan,
     entry: Entry,
-    groups: int,
     generations: int,
 ):
     """The same, of light that has changed its wavelength, for the fluxes that there are."""
+    groups = -(-plan.paths // (GROUP * len(entry.fluxes)))
     bands = len(scene.wavelength)
 
     def run(unit):
@@ -198,7 +214,8 @@ def _inelastic(
         blank = jnp.zeros((len(unit), depths.shape[0], 3, bands), lanes.weight.dtype)
         return converted(scene, world, lanes, unit, plan, generations, score, blank)[0]
 
-    return _walks.in_chunks(run, groups * len(entry.fluxes), plan.progress)
+    sums = _walks.in_chunks(run, groups * len(entry.fluxes), plan.progress)
+    return split(sums, entry, groups)
 
 
 @eqx.filter_jit
@@ -214,17 +231,17 @@ def irradiance(
     scene, depths = fixed_scene(scene), fixed("depths", depths)
     world = _walks.world(scene, words, proposal)
     light = entry(scene)
-    groups = -(-plan.paths // (GROUP * len(light.fluxes)))
+    group = grouped(plan.paths // len(light.fluxes))
     found = []
     # Frozen walks stay as they are: what they are worth depends on the water.
-    sums = _elastic(scene, world, depths, plan, light, groups, proposal is None)
-    for own, flux in zip(split(sums, light, groups), light.fluxes, strict=True):
+    sums = _elastic(scene, world, depths, plan, light, group, proposal is None)
+    for own, flux in zip(sums, light.fluxes, strict=True):
         own = tuple(v * flux[None, None, None] for v in own)
         found.append(_walks.estimate(own, scene, plan))
     if scene.inelastic is not None:
         world = _walks.world(scene, words, proposal, spectral=True)
-        sums = _inelastic(scene, world, depths, plan, light, groups, generations)
-        found += [_walks.estimate(own, scene, plan) for own in split(sums, light, groups)]
+        sums = _inelastic(scene, world, depths, plan, light, generations)
+        found += [_walks.estimate(own, scene, plan) for own in sums]
     cosine, sun = light.cosine, scene.beam()[1]
     beam = _beam(world, depths, cosine, sun)
     kinds = jnp.stack([cosine, jnp.zeros_like(cosine), jnp.ones_like(cosine)])

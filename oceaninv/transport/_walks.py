@@ -12,7 +12,8 @@ from jaxtyping import Array, UInt32
 from oceaninv._numerics import safe_sqrt
 from oceaninv.iops import Layers
 from oceaninv.scene import Scene
-from oceaninv.transport import _paths, _weights
+from oceaninv.transport import _ordered, _paths, _weights
+from oceaninv.transport._ordered import Order
 from oceaninv.transport._paths import Domain, Flight, Lanes, Proposal, Vertex
 from oceaninv.transport._sampling import Vector, spread, uniforms
 from oceaninv.transport._weights import Medium
@@ -22,7 +23,6 @@ GROUP = 32  # walks that are thinned together: the unit of independence
 _YOUNG = 6  # events before the thinning
 _PART = 8  # one walk in so many is kept
 _CHUNK = 8192  # walks side by side
-_AIM = 0x2C1B3C6D  # and those of the aiming
 _COMB = 0x9E3779B9  # sets the draws of the thinning apart from those of the walks
 
 
@@ -60,14 +60,14 @@ class Stage(NamedTuple):
     soft: bool
 
 
-def stages(plan: Plan) -> list[Stage]:
-    """Few, for each is compiled."""
+def stages(plan: Plan, group: int) -> list[Stage]:
+    """Few, for each is compiled; `group`: lanes at the start."""
     thinned = _YOUNG if plan.thin else plan.bounces
     soft = plan.bounces if plan.similar is None else plan.similar
     starts = sorted({0, *(n for n in (thinned, soft) if n < plan.bounces)})
     ends = [*starts[1:], plan.bounces]
     return [
-        Stage(a, b - a, GROUP if a < thinned else GROUP // _PART, a >= soft)
+        Stage(a, b - a, group if a < thinned else group // _PART, a >= soft)
         for a, b in zip(starts, ends, strict=True)
     ]
 
@@ -83,36 +83,39 @@ def walk(
     plan: Plan,
     score: Score,
     blank: Any,
-    aim: Callable[[Lanes], Array] | None = None,
+    order: Order | None = None,
 ) -> tuple[tuple[Any, Any], Lanes]:
     """Scores summed, from `blank` zeros on, over all events and over the last quarter of them; the
-    walks at their ends.  `aim`: what walks of equal weight are worth, (unit, lane), by which those
-    of a unit are drawn anew before every flight: the better ones several times."""
+    walks at their ends.  `order`: in which walks take the points of a net at every event; without,
+    they share strata."""
     words, dtype = world.words, lanes.weight.dtype
     soft = False
     late = plan.bounces - max(plan.bounces // 4, 1)
     sums = (blank, blank)
-    for first, events, kept, softer in stages(plan):
+    group = lanes.weight.shape[1]
+    for first, events, kept, softer in stages(plan, group):
         if kept < lanes.weight.shape[1]:
             event = jnp.asarray(first, jnp.uint32)
             u = uniforms(unit, event, words ^ jnp.uint32(_COMB), dtype)
-            worth = 1.0 if aim is None else jax.lax.stop_gradient(aim(lanes))
+            worth = 1.0
+            if order is not None and order.worth is not None:
+                worth = jax.lax.stop_gradient(order.worth(lanes))
             lanes = _weights.comb(world.medium, lanes, kept, u[0], worth)
         if softer and not soft:
             soft = True
             lanes = _weights.settled(world.medium, lanes)
             proposal, medium = _weights.similar(world.proposal, world.medium)
             world = world._replace(proposal=proposal, medium=medium)
-        path = unit[:, None] * jnp.uint32(GROUP) + jnp.arange(kept, dtype=jnp.uint32)[None, :]
+        path = unit[:, None] * jnp.uint32(group) + jnp.arange(kept, dtype=jnp.uint32)[None, :]
 
-        def step(carry, t, path=path, world=world):
+        def step(carry, t, path=path, kept=kept, world=world):
             domain, proposal, medium, _ = world
             lanes, (whole, tail) = carry
-            u = spread(uniforms(path, t, words, dtype), unit, t, words)
-            if aim is not None:
-                w = uniforms(unit, t, words ^ jnp.uint32(_AIM), dtype)[0]
-                worth = jax.lax.stop_gradient(lanes.weight * aim(lanes))
-                lanes = _weights.drawn(lanes, worth, lanes.weight.shape[1], w)
+            if order is None:
+                u = spread(uniforms(path, t, words, dtype), unit, t, words)
+            else:
+                lanes = _ordered.ordered(lanes, order, unit, t, words)
+                u = _ordered.points(unit, t, words, kept, dtype, (0, 1, 2, 3))
             ahead = _paths.flight(domain, proposal, lanes)
             after, vertex = _paths.advance(domain, proposal, lanes, ahead, u)
             scores = score(world, lanes, ahead, after, vertex, t)
@@ -179,11 +182,11 @@ def carried(scene: Scene) -> int | None:
     return len(scene.wavelength) if _weights.mixed(scene) else None
 
 
-def in_chunks(run: Callable, units: int, progress: Progress | None = None):
-    """run(unit numbers) over all units, a fixed number of walks at a time, on all local devices
-    side by side: (unit, ...).  What a walk does depends on its number alone."""
+def in_chunks(run: Callable, units: int, progress: Progress | None = None, group: int = GROUP):
+    """run(unit numbers) over all units of `group` walks, a fixed number of walks at a time, on all
+    local devices side by side: (unit, ...).  What a unit does depends on its number alone."""
     devices = jax.local_devices()
-    block = max(min(_CHUNK // GROUP, -(-units // len(devices))), 1)
+    block = max(min(_CHUNK // group, -(-units // len(devices))), 1)
     chunks = -(-units // (block * len(devices)))
     shape = (len(devices), chunks, block)
     numbers = jnp.arange(np.prod(shape), dtype=jnp.uint32).reshape(shape)
@@ -206,7 +209,7 @@ def in_chunks(run: Callable, units: int, progress: Progress | None = None):
         numbers = jax.lax.with_sharding_constraint(numbers, spread)
         found = jax.vmap(several, spmd_axis_name="walks")(numbers)
         found = jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[2:]), found)
-    return jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[2:])[:units] / GROUP, found)
+    return jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[2:])[:units] / group, found)
 
 
 def estimate(sums: tuple[Array, Array], scene: Scene, plan: Plan) -> Estimate:

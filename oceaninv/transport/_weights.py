@@ -11,7 +11,7 @@ from typing import NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from oceaninv.iops import IOPs
 from oceaninv.phase import AbstractPhase, Isotropic
@@ -191,28 +191,37 @@ def comb(
         jnp.sum(lanes_now.weight, axis=1, keepdims=True), tiny
     )
     # A tenth by the proposal's own weights: also lanes that count only in a derivative live on.
-    return drawn(lanes, (jnp.mean(shares, axis=2) + 0.1 * proposal_share) * worth, kept, u)
+    return taken(lanes, *chosen((jnp.mean(shares, axis=2) + 0.1 * proposal_share) * worth, kept, u))
 
 
-def drawn(
-    lanes: Lanes, importance: Float[Array, "unit lane"], kept: int, u: Float[Array, " unit"]
-) -> Lanes:
-    """`kept` of the lanes of every unit, drawn evenly along their summed importance, with weights
-    that leave every expected value as it is."""
+def chosen(
+    importance: Float[Array, "unit lane"], kept: int, u: Float[Array, " unit"]
+) -> tuple[Int[Array, "unit kept"], Float[Array, "unit kept"]]:
+    """`kept` of the lanes of every unit, drawn evenly along their summed importance: which, in
+    their order, and how many copies of each are to be expected."""
     most = jnp.max(importance, axis=1, keepdims=True)
     importance = jnp.where(most > 0, importance / jnp.where(most > 0, most, 1.0), 1.0)
     upto = jnp.cumsum(importance, axis=1)
     whole = upto[:, -1:]
-    teeth = (jnp.arange(kept, dtype=u.dtype)[None, :] + u[:, None]) / kept * whole
-    chosen = jnp.sum((upto[:, None, :] <= teeth[:, :, None]).astype(jnp.int32), axis=2)
-    chosen = jnp.minimum(chosen, lanes.weight.shape[1] - 1)
+    # Lane i is passed by all draws from `starts` on; how many lanes a draw has passed, it takes.
+    starts = jnp.clip(jnp.ceil(upto / whole * kept - u[:, None]), 0, kept).astype(jnp.int32)
+    passed = jax.vmap(lambda at: jnp.zeros(kept + 1, jnp.int32).at[at].add(1))(starts)
+    lane = jnp.minimum(jnp.cumsum(passed, axis=1)[:, :kept], importance.shape[1] - 1)
+    return lane, kept * jnp.take_along_axis(importance, lane, axis=1) / whole
+
+
+def taken(
+    lanes: Lanes, lane: Int[Array, "unit kept"], copies: Float[Array, "unit kept"] | None
+) -> Lanes:
+    """The lanes chosen, with weights that leave every expected value as it is."""
 
     def take(leaf):
-        index = chosen.reshape(chosen.shape + (1,) * (leaf.ndim - 2))
+        index = lane.reshape(lane.shape + (1,) * (leaf.ndim - 2))
         return jnp.take_along_axis(leaf, index, axis=1)
 
     lanes = jax.tree.map(take, lanes)
-    copies = kept * jnp.take_along_axis(importance, chosen, axis=1) / whole
+    if copies is None:
+        return lanes
     # Rounding may choose a lane of no importance, at the end of the row.
     there = copies > 0
     return lanes._replace(weight=jnp.where(there, lanes.weight / jnp.where(there, copies, 1.0), 0))
