@@ -172,6 +172,28 @@ def predict_all(layout, readings, transport, sunlight, x):
     return tuple(found)
 
 
+def exact_ratios(problem: PhotoProblem, x, cheap, exact) -> tuple[list[np.ndarray], float]:
+    """By photograph what `exact` makes of each reading over what `cheap` does, and the largest
+    share by which one differs."""
+    layout, readings, sun = problem.layout, problem.readings, problem.sunlight
+    seen = [predict_all(layout, readings, model, sun, jnp.asarray(x)) for model in (cheap, exact)]
+    pairs = zip(*seen, strict=True)
+    found = [np.asarray(true) / np.asarray(first) for (first, _), (true, _) in pairs]
+    return found, max(float(np.max(np.abs(one - 1.0), initial=0.0)) for one in found)
+
+
+def scaled(problem: PhotoProblem, ratio: Sequence[np.ndarray]) -> PhotoProblem:
+    """The posterior of a model whose predictions of the readings are `ratio` times as large: that
+    of readings divided by it, and their noise with them."""
+    pairs = list(zip(problem.readings, ratio, strict=True))
+    divided = [one.values / part for one, part in pairs] + [one.sigma / part for one, part in pairs]
+
+    def rows(p):
+        return [one.values for one in p.readings] + [one.sigma for one in p.readings]
+
+    return eqx.tree_at(rows, problem, divided)
+
+
 def _start_gains(parameters: Parameters, readings, transport, sunlight) -> Parameters:
     """Centre the gains where the model at the priors' centres is as bright as the readings."""
     centre = parameters.prior().centre

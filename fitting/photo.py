@@ -13,12 +13,14 @@ import oceaninv as oi
 from fitting._photo_model import WAVELENGTH, predict
 from fitting._photo_problem import (
     PhotoProblem,
+    exact_ratios,
     photo_residual,
     predict_all,
     prepare,
+    scaled,
     search,
 )
-from fitting._planned import Demand, fit_within, scene_at
+from fitting._planned import EXACT, Demand, corrected, fit_within, scene_at
 from fitting._programs import kept
 from fitting._valley import widened
 from fitting.parameters import Parameter
@@ -26,6 +28,7 @@ from fitting.posterior import Fit, Predictive
 from fitting.quantities import UNITS, nearest_jerlov, quantities_of
 from fitting.readings import Photo
 from fitting.solve import Bend, Optimum, covariance, curvature, sentence, value_and_jacobian
+from oceaninv.fidelity.choice import rung
 from oceaninv.transport.base import AbstractTransport
 
 __all__ = [
@@ -191,8 +194,10 @@ def fit_photo(
     - `starts`: searches from so many points, the first at the priors' centres, the others drawn
       from the priors of the constituents; the best is taken.
     - `tolerance`: instead of a transport, the largest relative error of a photograph that it may
-      bring: the cheapest that is good enough for the water found is taken, see `oceaninv.plan`;
-      which, and its predicted error, stand in `metadata["plan"]`.
+      bring: the cheapest that is good enough for the water found is taken, see `oceaninv.plan`,
+      and what it gets wrong in readings of charts and open water there is corrected by one to
+      three looks at the exact light; which, its predicted error and the correction stand in
+      `metadata["plan"]`.
 
     **Returns** a `Fit`.  Exposure, white balance, the light on each chart, the shape of the
     water's optical properties and the error of the closed form are free nuisances with priors, so
@@ -218,8 +223,10 @@ def fit_photo(
     if starts < 1:
         raise ValueError(f"starts is {starts}; give 1 or more.")
 
-    def solve(rung, start):
-        parameters, problem = _problem(photos, rung, priors, matrix, sunlight, know, robust)
+    def solve(model, start, ratio=None):
+        parameters, problem = _problem(photos, model, priors, matrix, sunlight, know, robust)
+        if ratio is not None:
+            problem = scaled(problem, ratio)
         begin = _starts(parameters, problem, starts) if start is None else jnp.asarray(start)[None]
         found, stated, factor = _solve(problem, begin), None, 1.0
         for _ in range(_ROUNDS):
@@ -230,7 +237,12 @@ def fit_photo(
             factor *= excess
             problem = _noisier(problem, excess)
             found = _solve(problem, jnp.broadcast_to(found[0].x, begin.shape))
-        return _result(photos, parameters, problem, *found, stated=stated, factor=factor)
+        fit = _result(photos, parameters, problem, *found, stated=stated, factor=factor)
+        if ratio is None:
+            return fit
+        seen, all_ = fit.posterior_predictive, np.concatenate(ratio)
+        rows = {n: getattr(seen, n) * all_ for n in ("observed", "predicted", "sd")}
+        return dataclasses.replace(fit, posterior_predictive=dataclasses.replace(seen, **rows))
 
     if tolerance is not None and any(photo.lamp for photo in photos):
         raise ValueError("tolerance chooses a model of daylight; lamplight has one model only.")
@@ -242,7 +254,14 @@ def fit_photo(
         return scene_at(fit.parameters, fit.x, WAVELENGTH, sun)
 
     demands = [Demand("photograph", photo.depth, photo.response) for photo in photos]
-    return fit_within(tolerance, transport, solve, scene, demands)[0]
+    fit, chosen = fit_within(tolerance, transport, solve, scene, demands)
+    if rung(chosen) == rung(EXACT):
+        return fit
+
+    def look(x):
+        return exact_ratios(fit.problem, x, chosen, EXACT)
+
+    return corrected(fit, EXACT, look, lambda x, ratio: solve(chosen, x, ratio))
 
 
 def _starts(parameters, problem: PhotoProblem, count: int) -> Float[Array, "start unknown"]:

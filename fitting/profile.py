@@ -1,6 +1,5 @@
 """Depth profiles of irradiance to Kd(wl), and to constituents."""
 
-import dataclasses
 from collections.abc import Mapping
 
 import jax
@@ -12,7 +11,7 @@ from fitting._cast_problem import CastProblem, Samples, describe_cast, lights, s
 from fitting._evidence import runs_p, whitened, worth
 from fitting._lanes import Job, fit_lanes, light_of, padded
 from fitting._par import light_of_bands, light_of_sensor, light_quantities
-from fitting._planned import Demand, fit_within, scene_at
+from fitting._planned import EXACT, Demand, corrected, fit_within, scene_at
 from fitting._upward import Cast, cast_of, cast_quantities, lit, upward_notes
 from fitting.layered import (
     check_layers,
@@ -240,41 +239,20 @@ def _unknowns(job: Job, bands: BandFit, priors) -> Parameters:
     return parameters.replace(priors or {})
 
 
-EXACT = oi.PlaneParallel()  # by which fits within a tolerance are corrected
-
-
 def _corrected(fit: Fit, transport: AbstractTransport, solve, profile: Profile) -> Fit:
-    """The fit with what the transport gets wrong at its optimum, as the exact one sees it.
-
-    Noise averages out over samples while the error of a model does not: one of 1 % may move an
-    estimate by more than its interval.  Its ratio to the exact light hardly depends on the water:
-    one evaluation of that, and the cheap search goes on with it, again where the constituents
-    moved by a tenth of their standard deviation or more, at most three times.
-    """
-    exact, largest = EXACT, 0.0
-    if rung(transport) == rung(oi.PlaneParallel(exact.streams, 1)):
+    """`fitting._planned.corrected` by the light at the profile's depths."""
+    if rung(transport) == rung(oi.PlaneParallel(EXACT.streams, 1)):
         return fit
     layout, grid = fit.parameters.layout(), tuple(profile.wavelength.tolist())
-    depth = np.pad(profile.depth, (0, padded(len(profile.depth)) - len(profile.depth)))
-    plan = fit.metadata["plan"]
-    asked = np.array([not parameter.nuisance for parameter in fit.parameters])
-    sd = np.sqrt(np.diag(fit.covariance))
-    passes, moving = 0, True
-    while moving and passes < 3:
-        x = jax.device_put(np.asarray(fit.x))
-        cheap, true = lights(layout, grid, (transport, exact), x, jax.device_put(depth))
+    count = len(profile.depth)
+    depth = jax.device_put(np.pad(profile.depth, (0, padded(count) - count)))
+
+    def look(x):
+        cheap, true = lights(layout, grid, (transport, EXACT), jax.device_put(x), depth)
         ratio = np.where(np.asarray(cheap) > 0, np.asarray(true) / np.asarray(cheap), 1.0)
-        largest = float(np.max(np.abs(ratio[: len(profile.depth)] - 1.0)))
-        fit = solve(transport, np.asarray(fit.x), ratio)
-        moving = bool(np.any(np.abs(fit.x - np.asarray(x))[asked] >= 0.1 * sd[asked]))
-        passes += 1
-    plan = {
-        **plan,
-        "corrections": passes,
-        "corrected_by": rung(exact),
-        "largest_correction": largest,
-    }
-    return dataclasses.replace(fit, metadata={**fit.metadata, "plan": plan})
+        return ratio, float(np.max(np.abs(ratio[:count] - 1.0)))
+
+    return corrected(fit, EXACT, look, lambda x, ratio: solve(transport, x, ratio))
 
 
 def _constituent_fit(cast: Cast, bands, transport, priors, metadata, start=None, ratio=None) -> Fit:

@@ -7,6 +7,7 @@ import pytest
 
 import oceaninv as oi
 from fitting import fit_photo, fit_profile
+from fitting._photo_problem import PhotoProblem, exact_ratios, predict_all, prepare, scaled
 from fitting._planned import Demand, fit_within, scene_at
 from fitting.parameters import Parameter, Parameters, constituents
 from fitting.posterior import Fit, Predictive
@@ -76,6 +77,43 @@ def test_a_transport_and_a_tolerance_exclude_each_other():
             fit(tolerance=0.1)
     with pytest.raises(ValueError, match="between 0 and 1"):
         fit_photo(photo(), tolerance=1.5)
+
+
+@pytest.mark.slow
+def test_readings_divided_are_a_model_multiplied():
+    """(reading - ratio model) / sd, as a photo fit within a tolerance is corrected."""
+    parameters, readings, sunlight = prepare([photo(clean())], oi.KdTransport())
+    layout, x = parameters.layout(), parameters.prior().centre
+    problem = PhotoProblem(layout, parameters.prior(), readings, oi.KdTransport(), sunlight)
+    ratio = [np.linspace(0.9, 1.2, readings[0].values.size).reshape(readings[0].values.shape)]
+    ((seen, _),) = predict_all(layout, readings, oi.KdTransport(), sunlight, x)
+    one, size = readings[0], readings[0].values.size
+    expected = np.asarray((one.values - ratio[0] * seen) / one.sigma).reshape(-1)
+    found = np.asarray(scaled(problem, ratio).residual(x))[:size]
+    np.testing.assert_allclose(found, expected, rtol=1e-10, atol=1e-10)
+    same, largest = exact_ratios(problem, x, oi.KdTransport(), oi.KdTransport())
+    np.testing.assert_allclose(same[0], 1.0)
+    assert largest == 0.0
+
+
+@pytest.mark.slow
+def test_a_photo_fit_within_a_tolerance_is_that_of_the_exact_light(monkeypatch):
+    """Readings of the exact light (few streams do for that)."""
+    exact = oi.PlaneParallel(4, 4)
+    monkeypatch.setattr("fitting.photo.EXACT", exact)
+    parameters, readings, sunlight = prepare([photo()], exact)
+    x = parameters.prior().centre
+    ((seen, _),) = predict_all(parameters.layout(), readings, exact, sunlight, x)
+    made = photo(np.asarray(seen))
+    planned = fit_photo(made, tolerance=0.5)
+    plan = planned.metadata["plan"]
+    assert 0.001 < plan["largest_correction"] < 0.5
+    assert plan["corrected_by"] == choice.rung(exact)
+    straight = fit_photo(made, transport=exact)
+    for name in ("chlorophyll", "cdom", "detritus"):
+        i = straight.parameters.names.index(name)
+        assert abs(planned.x[i] - straight.x[i]) < 0.2 * straight.sd[name]
+    np.testing.assert_allclose(planned.posterior_predictive.observed, seen, rtol=1e-10)
 
 
 @pytest.mark.slow

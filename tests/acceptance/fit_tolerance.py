@@ -135,8 +135,8 @@ def main():
         for name, data in cases():
             lines.append(row(name, fit, data))
             print(lines[-1], flush=True)
-        report = "\n".join(lines) + "\n"
-        Path(__file__).with_name(f"fit_tolerance_{kind}.md").write_text(report)
+            report = "\n".join(lines) + "\n"
+            Path(__file__).with_name(f"fit_tolerance_{kind}.md").write_text(report)
 
 
 if __name__ == "__main__":
