@@ -6,7 +6,7 @@ it were known to be absent.  Followed up its own valley it takes its share, and 
 
 A constituent that is seen, but badly, is seen the better the more there is of it: at an optimum
 that came out high its standard deviation is too small, and the truth lies down the valley, further
-away than the ellipsoid says.  There both sides are followed, and the longer one counts.
+away than the ellipsoid says.  There both sides are followed, and the longer one counts for it.
 """
 
 from typing import Any, NamedTuple
@@ -170,7 +170,10 @@ def followed(along, parameters: Parameters, x: np.ndarray, sd: np.ndarray) -> np
     """
     found = sd
     for i, length in walks(parameters, sd):
-        found = np.maximum(found, reach(x, i, along(i, length), parameters))
+        far = reach(x, i, along(i, length), parameters)
+        # What is seen has a slope at the optimum, by which the others know of it already.
+        others = (sd[i] > _UNSEEN) | (np.arange(len(sd)) == i)
+        found = np.where(others, np.maximum(found, far), found)
     return found
 
 

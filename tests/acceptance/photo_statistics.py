@@ -13,10 +13,9 @@ and 4 m and open water, horizontally; exposure and white balance unknown; 1 % no
   (central finite differences of `fitting.photo.predict`) and of the priors, at each draw's truth.
 - Mismatched: the exact photographs of `_mismatched.py`, fitted with the default model.
 - Mismatched, known: the same photographs by a user who knows that the light on the charts is within
-  30 % of Ed, which is what was drawn.  By default it is known within a factor of e: charts that
-  face the camera get a third to a half of what a level one gets, or all of it and more when the
-  sun is behind the diver.  Backscattering is told from how bright the water is beside a chart, so
-  it is known no better than that light.  Two frames a water.
+  30 % of Ed, which is what was drawn.  By default it is known within a factor of e, for a chart may
+  face any way.  Backscattering is told from how bright the water is beside a chart, so it is known
+  no better than that light.  Two frames a water.
 
 The algae of these waters absorb 2 to 3.7 times the mean of Bricaud et al. 1998, one to two standard
 deviations of what nature has (`algae_coastlooc.md`).
