@@ -32,18 +32,26 @@ def opened(problem: Any) -> Any:
     return dataclasses.replace(problem, layout=open_to(problem.layout), prior=prior)
 
 
+# Numbers that are well known hold still only once badly known ones have found their place.
+_STEPS = 10
+
+
 @kept
 def _stepped(problem: AbstractProblem, x):
-    """(alternative + 1, unknown) optima after one step, and ln quantities there: of the model as it
-    is, then of each alternative."""
+    """(alternative + 1, unknown) optima and ln quantities there, first of the model as it is."""
     count, unknown = len(ALTERNATIVES), x.shape[0]
     zero = jnp.zeros(count, x.dtype)
     value, slope = value_and_jacobian(lambda x: problem.residual(jnp.concatenate([x, zero])), x)
     cov = covariance(slope)
 
     def one(share):
-        off = problem.residual(jnp.concatenate([x, share])) - value
-        return x - cov @ (slope.T @ off)
+        def step(moved, _):
+            off = problem.residual(jnp.concatenate([moved, share])) - value
+            down = slope.T @ off
+            length = jnp.sqrt(down @ cov @ down)
+            return moved - cov @ down / jnp.maximum(1.0, length), None
+
+        return jax.lax.scan(step, x, None, length=_STEPS)[0]
 
     def quantities(pair):
         x, share = pair
@@ -61,9 +69,9 @@ def assumptions(fit: Fit) -> dict[str, dict[str, float]]:
     pure water, which spectrum of algal absorption, which phase function of particles, and how
     their backscattering goes; see `fitting._assumed.ALTERNATIVES` for what is put in the place.
 
-    **Returns** by positive constituent and scalar quantity, and by alternative, the change of ln
-    of the answer by one Gauss-Newton step: the readings less what the other model says, by the
-    slopes of the fit's own.  If the water is like the alternative, the fit errs by the opposite.
+    **Returns** by constituent and scalar quantity, and by alternative, the change of ln of the
+    answer by Gauss-Newton steps, each of a standard deviation at most, with the slopes of the
+    fit's own model.  If the water is like the alternative, the fit errs by the opposite.
 
     **Raises** ValueError for a fit that is not of photographs.
     """

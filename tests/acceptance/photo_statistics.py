@@ -35,6 +35,7 @@ from scipy.stats import binom
 
 import oceaninv as oi
 from fitting import Background, Chart, Photo
+from fitting.cli import quick_compilation
 from fitting.parameters import Prior
 from fitting.photo import WAVELENGTH, PhotoProblem, predict, prepare, search
 from fitting.posterior import half_width
@@ -116,7 +117,9 @@ def programs():
         derived = jnp.minimum(bend.derived, of_logs)
         return optimum.x, optimum.code, cov, chi2, bias, spread, logs, of_logs, derived
 
-    return tuple(jax.jit(jax.vmap(f)) for f in (forward, fit))
+    # Fits one after the other: side by side, all would take as many steps as the longest.
+    fits = jax.jit(lambda *all_: jax.lax.map(lambda one: fit(*one), all_))
+    return jax.jit(jax.vmap(forward)), fits
 
 
 def by_chunks(program, *arrays):
@@ -401,6 +404,7 @@ def known_table(repeats: int = 2) -> str:
 
 
 def main():
+    quick_compilation(drawing=True)
     jax.config.update("jax_enable_x64", True)
     tables = {
         "matched": matched_table,
