@@ -211,7 +211,8 @@ def fit_photo(
 
     Standard deviations of unknowns beside a constituent that may as well be absent are those of
     their profiles along it (`Fit.covariance` is scaled): at such an optimum the ellipsoid takes it
-    for known to be absent.
+    for known to be absent.  That of a constituent known to 0.15 or worse is of the longer side of
+    its own profile: the ellipsoid is too small where it came out high.
 
     Readings that scatter more about the model than their noise allows have their noise estimated
     from that scatter, and the fit done again: `metadata["noise_factor"]` says by how much the
