@@ -12,7 +12,7 @@ from fitting._programs import kept
 from fitting.parameters import Identity, Parameter, Parameters, Prior
 from fitting.posterior import Fit
 from fitting.sampling import AbstractProblem
-from fitting.solve import covariance, value_and_jacobian
+from fitting.solve import least_squares
 
 
 def open_to(parameters: Parameters, names=tuple(ALTERNATIVES)) -> Parameters:
@@ -32,34 +32,21 @@ def opened(problem: Any) -> Any:
     return dataclasses.replace(problem, layout=open_to(problem.layout), prior=prior)
 
 
-# Numbers that are well known hold still only once badly known ones have found their place.
-_STEPS = 10
-
-
 @kept
-def _stepped(problem: AbstractProblem, x):
+def _refitted(problem: AbstractProblem, x, scale):
     """(alternative + 1, unknown) optima and ln quantities there, first of the model as it is."""
-    count, unknown = len(ALTERNATIVES), x.shape[0]
-    zero = jnp.zeros(count, x.dtype)
-    value, slope = value_and_jacobian(lambda x: problem.residual(jnp.concatenate([x, zero])), x)
-    cov = covariance(slope)
+    count = len(ALTERNATIVES)
+
+    def residual(x, share):
+        return problem.residual(jnp.concatenate([x, share]))
 
     def one(share):
-        def step(moved, _):
-            off = problem.residual(jnp.concatenate([moved, share])) - value
-            down = slope.T @ off
-            length = jnp.sqrt(down @ cov @ down)
-            return moved - cov @ down / jnp.maximum(1.0, length), None
+        moved = least_squares(residual, x, share, scale).x
+        logs = jax.tree.map(jnp.log, problem.quantities(jnp.concatenate([moved, share])))
+        return moved, logs
 
-        return jax.lax.scan(step, x, None, length=_STEPS)[0]
-
-    def quantities(pair):
-        x, share = pair
-        return jax.tree.map(jnp.log, problem.quantities(jnp.concatenate([x, share])))
-
-    shares = jnp.concatenate([zero[None], jnp.eye(count, dtype=x.dtype)])
-    moved = jax.lax.map(one, shares)
-    return moved.reshape(count + 1, unknown), jax.lax.map(quantities, (moved, shares))
+    shares = jnp.concatenate([jnp.zeros((1, count), x.dtype), jnp.eye(count, dtype=x.dtype)])
+    return jax.lax.map(one, shares)
 
 
 def assumptions(fit: Fit) -> dict[str, dict[str, float]]:
@@ -70,8 +57,8 @@ def assumptions(fit: Fit) -> dict[str, dict[str, float]]:
     their backscattering goes; see `fitting._assumed.ALTERNATIVES` for what is put in the place.
 
     **Returns** by constituent and scalar quantity, and by alternative, the change of ln of the
-    answer by Gauss-Newton steps, each of a standard deviation at most, with the slopes of the
-    fit's own model.  If the water is like the alternative, the fit errs by the opposite.
+    answer, from a search with the alternative that begins at the fit's optimum.  If the water is
+    like the alternative, the fit errs by about the opposite.
 
     **Raises** ValueError for a fit that is not of photographs.
     """
@@ -79,7 +66,8 @@ def assumptions(fit: Fit) -> dict[str, dict[str, float]]:
 
     if not isinstance(fit.problem, PhotoProblem):
         raise ValueError("assumptions are those of a fit of photographs; this fit is of none.")
-    moved, logs = _stepped(opened(fit.problem), jnp.asarray(fit.x))
+    scale = fit.problem.prior.scale
+    moved, logs = _refitted(opened(fit.problem), jnp.asarray(fit.x), scale)
     moved, logs = np.asarray(moved), {name: np.asarray(value) for name, value in logs.items()}
     found = {}
     for name, quantity in fit.quantities.items():

@@ -6,8 +6,8 @@ Prints the table and writes photo_assumptions.md beside this file; about five mi
 
 ColorCheckers at 0.5, 1 and 2 m and open water at 5 m, no noise, everything unknown that `fit_photo`
 leaves open.  Truth: a water by the fit's model but for one assumption, either one that has a prior,
-at one standard deviation from its centre (`Fit.sensitivity`), or a table or shape that is fixed
-(`fitting.assumptions`).  Both tables are those of the fit of the unbroken water.
+at one standard deviation from its centre (`Fit.sensitivity`, linearised), or a table or shape that
+is fixed (`fitting.assumptions`, fitted anew).  Both tables are of the unbroken water.
 """
 
 from pathlib import Path
