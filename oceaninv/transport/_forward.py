@@ -19,7 +19,8 @@ from oceaninv.transport._paths import Lanes, Proposal, Vertex
 from oceaninv.transport._walks import GROUP, Plan, World
 from oceaninv.transport.base import Estimate
 
-_GRAZING = 0.03  # below this cosine, 1/cosine counts as its mean over the band, 2/0.03
+_GRAZING = 0.003  # below this cosine, 1/cosine counts as its mean over the band, 2/0.003:
+# right where light is even there; a band of 0.03 put E0 of thin layers off by 0.03 %
 _FAR = 8.0  # e-foldings of the light: beyond them no walks are gathered
 _GROUPS = 64  # of walks, at least, where there are so many: their scatter tells the error
 _MOST = 8192  # walks in a group

@@ -44,7 +44,9 @@ class MonteCarlo(AbstractTransport):
       are never thinned.
     - `proposal`: what the walks are drawn from; `None` makes it from the scene.
     - `generations`: how often light may change its wavelength, at most.  What further changes
-      would add, `PlaneParallel.inelastic_left` bounds.
+      would add, `PlaneParallel.inelastic_left` bounds.  Above 1 a few walks of great weight carry
+      the light of the later ones, and the `stderr` of a run that has met none is too small: repeat
+      it with other keys, or draw more walks.
     - `similar`: after so many events the water counts as one that scatters evenly, and b (1 - g) as
       much (similarity theory; Frisvad et al. 2007, section 3), so that one event does the work of
       1/(1 - g).  For white media, one band at a time (`tests/acceptance/similarity.md`); `bias` is
