@@ -4,6 +4,7 @@ import dataclasses
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -29,6 +30,7 @@ def fit_within(
     solve: Callable[[AbstractTransport, np.ndarray | None], Fit],
     scene_of: Callable[[Fit], oi.Scene],
     demands: Sequence[Demand],
+    corrigible: float = 0.0,
 ) -> tuple[Fit, AbstractTransport]:
     """A fit through a transport that errs by at most `tolerance`, and that transport.
 
@@ -36,7 +38,8 @@ def fit_within(
     optimum of the planned rung: a dearer one follows where that is no longer enough.  Every search
     begins where the last one ended.
 
-    **Arguments:** `solve`: of a transport and where to begin; `scene_of`: a fit's water and light.
+    **Arguments:** `solve`: of a transport and where to begin; `scene_of`: a fit's water and light;
+    `corrigible`: an error that is good enough, whatever the tolerance, for `corrected` follows.
 
     **Raises** ValueError when a transport was given as well, and for a tolerance out of range.
     """
@@ -55,7 +58,7 @@ def fit_within(
             expected_error(scene, here, quantity, depth=depth, response=response)
             for quantity, depth, response in demands
         )
-        if error <= tolerance:
+        if error <= max(tolerance, corrigible):
             break
         # As many demands, as many answers: the dearest serves all.
         better, _ = max(
@@ -94,24 +97,33 @@ def corrected(
     Noise averages out over samples while the error of a model does not: one of 1 % may move an
     estimate by more than its interval.  Its ratio to the exact light hardly depends on the water:
     one evaluation of that, and the cheap search goes on with it, again where the constituents
-    moved by a tenth of their standard deviation or more, at most three times.
+    moved by a tenth of their standard deviation or more, at most three times.  The error that is
+    left is by how much the ratio changed between the last two of its looks, the last one after
+    the search.
 
     **Arguments:** `look`: of the unknowns, the ratio of `exact` to cheap light in any shape, and
     the largest share by which it differs from one; `solve`: from where, with which ratio.
     """
     asked = np.array([not parameter.nuisance for parameter in fit.parameters])
     sd, plan = np.sqrt(np.diag(fit.covariance)), fit.metadata["plan"]
-    passes, moving, largest = 0, True, 0.0
+    passes, moving = 0, True
+    ratio, largest = look(np.asarray(fit.x))
+    left = largest
     while moving and passes < 3:
         x = np.asarray(fit.x)
-        ratio, largest = look(x)
         fit = solve(x, ratio)
         moving = bool(np.any(np.abs(fit.x - x)[asked] >= 0.1 * sd[asked]))
         passes += 1
+        before = ratio
+        ratio, largest = look(np.asarray(fit.x))
+        changes = jax.tree.map(lambda a, b: np.max(np.abs(a / b - 1.0), initial=0.0), ratio, before)
+        left = float(max(jax.tree.leaves(changes)))
     more = {
         "corrections": passes,
         "corrected_by": rung(exact),
         "largest_correction": largest,
+        "error_left": left,
+        "kept": left <= plan["tolerance"],
     }
     return dataclasses.replace(fit, metadata={**fit.metadata, "plan": plan | more})
 

@@ -60,6 +60,9 @@ def _derived(problem: PhotoProblem, optimum: Optimum):
     return optimum, cov, quantities, slopes, bend
 
 
+# What a photograph's model may err by to be corrected instead of exchanged.
+_CORRIGIBLE = 0.5
+
 # How often the noise is estimated anew, each time with a search from the last optimum.
 _ROUNDS = 2
 
@@ -194,9 +197,9 @@ def fit_photo(
     - `starts`: searches from so many points, the first at the priors' centres, the others drawn
       from the priors of the constituents; the best is taken.
     - `tolerance`: instead of a transport, the largest relative error of a photograph that it may
-      bring: the cheapest that is good enough for the water found is taken, see `oceaninv.plan`,
-      and what it gets wrong in readings of charts and open water there is corrected by one to
-      three looks at the exact light; which, its predicted error and the correction stand in
+      bring: what the closed form gets wrong in readings of charts and open water is corrected by
+      looks at the exact light where it errs by less than half, else the cheapest rung is taken
+      that does, see `oceaninv.plan`; what was done, and the error that is left, stand in
       `metadata["plan"]`.
 
     **Returns** a `Fit`.  Exposure, white balance, the light on each chart, the shape of the
@@ -255,7 +258,8 @@ def fit_photo(
         return scene_at(fit.parameters, fit.x, WAVELENGTH, sun)
 
     demands = [Demand("photograph", photo.depth, photo.response) for photo in photos]
-    fit, chosen = fit_within(tolerance, transport, solve, scene, demands)
+    # Through a dearer rung a search would take as long as through the exact light.
+    fit, chosen = fit_within(tolerance, transport, solve, scene, demands, _CORRIGIBLE)
     if rung(chosen) == rung(EXACT):
         return fit
 

@@ -105,9 +105,12 @@ def test_a_photo_fit_within_a_tolerance_is_that_of_the_exact_light(monkeypatch):
     x = parameters.prior().centre
     ((seen, _),) = predict_all(parameters.layout(), readings, exact, sunlight, x)
     made = photo(np.asarray(seen))
-    planned = fit_photo(made, tolerance=0.5)
+    planned = fit_photo(made, tolerance=0.03)
     plan = planned.metadata["plan"]
-    assert 0.001 < plan["largest_correction"] < 0.5
+    assert plan["tried"] == ["TwoStream()"]
+    assert 0.01 < plan["largest_correction"] < 0.5
+    assert plan["error_left"] <= 0.03
+    assert plan["kept"]
     assert plan["corrected_by"] == choice.rung(exact)
     straight = fit_photo(made, transport=exact)
     for name in ("chlorophyll", "cdom", "detritus"):
