@@ -56,7 +56,7 @@ def reduced_scene(
         light = Light(light.zenith, light.direct)
     floor = None if "floor" in dropped else scene.floor
     scene = _with(scene, light=light, floor=floor, inelastic=inelastic)
-    return scene, errors.looks(scene, quantity, depth), terms
+    return scene, errors.looks(scene, quantity, depth, found), terms
 
 
 def _with(scene: Scene, **changes) -> Scene:

@@ -24,16 +24,18 @@ QUANTITIES = ("irradiance", "radiance", "photograph")
 _CLOSED = (TwoStream(), FourStream())
 LADDERS: Mapping[str, tuple[AbstractTransport, ...]] = {
     "irradiance": (*_CLOSED, *(PlaneParallel(n, 1) for n in (4, 8, 16, 24, 32))),
-    # Few rungs, for neighbours cannot be told apart beforehand: with every dial of 8-40 streams
-    # that errs less than what costs less, plans are about as dear (tests/acceptance/plan.py).
+    # Rungs closer to each other could not be told apart beforehand (tests/acceptance/plan.py).
     "radiance": (
         *_CLOSED,
-        *(PlaneParallel(n, m) for n, m in ((8, 6), (10, 10), (20, 20), (40, 40))),
+        *(
+            PlaneParallel(n, m)
+            for n, m in ((8, 6), (10, 10), (14, 12), (20, 20), (28, 28), (40, 40))
+        ),
     ),
     # A camera looks about the horizon, where half as many orders of azimuth do.
     "photograph": (
         *_CLOSED,
-        *(PlaneParallel(n, m) for n, m in ((8, 6), (12, 6), (28, 14), (40, 20))),
+        *(PlaneParallel(n, m) for n, m in ((8, 6), (12, 6), (16, 8), (20, 10), (28, 14), (40, 20))),
     ),
 }
 

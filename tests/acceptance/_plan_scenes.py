@@ -27,10 +27,7 @@ WAVELENGTH = np.linspace(400.0, 700.0, 8)
 REFERENCES = {"irradiance": oi.PlaneParallel(64, 1), "radiance": oi.PlaneParallel(64, 40)}
 DIRECTIONS, CHUNK = 20, 10
 # What plan() may choose for water alone, and dials between; photographs are made of radiance.
-TRIED = tuple(
-    oi.PlaneParallel(n, m)
-    for n, m in ((12, 12), (14, 12), (16, 8), (16, 12), (20, 10), (24, 24), (28, 28))
-)
+TRIED = tuple(oi.PlaneParallel(n, m) for n, m in ((12, 12), (16, 12), (24, 24)))
 RUNS = {
     "irradiance": choice.LADDERS["irradiance"],
     "radiance": tuple(

@@ -26,7 +26,7 @@ from tests.acceptance import _plan_models as models
 from tests.acceptance import _plan_scenes as scenes
 
 CALIBRATION, CALIBRATION_SEED = 240, 11
-TEST, TEST_SEED = 200, 53
+TEST, TEST_SEED = 200, 59
 PEOPLES = (8, 31)  # bands of 400-700 nm for which planning is timed
 TIMED = 40  # scenes
 
@@ -122,9 +122,10 @@ def table(found, all_cases, draws) -> str:
         "# plan() against exhaustive trial\n",
         f"`python -m tests.acceptance.plan`: {TEST} random scenes of seed {TEST_SEED}, never "
         f"looked at before (error models and margins: {CALIBRATION} scenes of seed "
-        f"{CALIBRATION_SEED}, `python -m tests.acceptance.plan fit`).  Chlorophyll 0.01-30 mg/m3, "
-        "CDOM and detritus 0.001-5 /m, sun 0-75 degrees, sky in half, depth 0.5-40 m, floor in "
-        "half; eight bands of 400-700 nm, of radiance every second one.  Truth: "
+        f"{CALIBRATION_SEED}, `python -m tests.acceptance.plan fit`; the rungs were chosen with "
+        "200 scenes of seed 47 in sight, too).  Chlorophyll 0.01-30 mg/m3, CDOM and detritus "
+        "0.001-5 /m, sun 0-75 degrees, sky in half, depth 0.5-40 m, floor in half; eight bands of "
+        "400-700 nm, of radiance every second one.  Truth: "
         f"{' and '.join(planning.rung(t) for t in scenes.REFERENCES.values())}.  Cost: processor "
         "seconds per scene of the compiled program, over the cheapest rung that keeps the "
         "tolerance, of the ladder and of all that was tried; among scenes in which one does "
