@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 import oceaninv as oi
+from fitting._bandwise import downward, path_radiance
 from fitting._lamp_model import lamplit
 from fitting.parameters import water_iops
 from fitting.readings import Photo, Pixels
@@ -226,9 +227,7 @@ def predict_lit(lit: Lit, values, readings: Readings, transport, photo: int):
     if readings.lamp:
         white, veil = lamplit(lit.water, lit.scene.light.direct, distance, values["blind"])
     else:
-        zero = jnp.zeros((), dtype)
-        rays = oi.Rays(jnp.stack([zero, zero, lit.depth]), direction, distance)
-        veil = transport.radiance(lit.scene, rays, None).value
+        veil = path_radiance(lit.scene, lit.depth, direction, distance, transport)
     signal = (veil @ lit.response.T * lit.veil[None, :])[jnp.asarray(readings.ray)]
     if count:
         share = jnp.stack([values[f"chart_{photo}_{k}"] for k in range(count)])
@@ -236,7 +235,7 @@ def predict_lit(lit: Lit, values, readings: Readings, transport, photo: int):
             arriving = jnp.pi * white[:count] * share[:, None]
         else:
             chart_depth = jnp.maximum(lit.depth + distance[:count] * direction[:count, 2], 0.0)
-            down = transport.irradiance(lit.scene, chart_depth, None).Ed.value
+            down = downward(lit.scene, chart_depth, transport)
             through = jnp.exp(-lit.water.c[None, :] * distance[:count, None])
             arriving = down * share[:, None] * through
         patches = [i for i, r in enumerate(readings.ray) if r < count]
@@ -257,12 +256,11 @@ def _distances(values, readings: Readings, photo: int):
 def predict_pixels(lit: Lit, values, pixels: PixelClasses, transport, photo: int):
     """(class, channel) mean values of pixels, and (class, channel, term) how they vary."""
     dtype = lit.depth.dtype
-    zero = jnp.zeros((), dtype)
     direction = jnp.broadcast_to(pixels.direction, (pixels.distance.shape[0], 3))
-    rays = oi.Rays(jnp.stack([zero, zero, lit.depth]), direction, pixels.distance)
-    veil = transport.radiance(lit.scene, rays, None).value @ lit.response.T * lit.veil[None, :]
+    veil = path_radiance(lit.scene, lit.depth, direction, pixels.distance, transport)
+    veil = veil @ lit.response.T * lit.veil[None, :]
     depth = jnp.maximum(lit.depth + pixels.distance * pixels.direction[2], 0.0)
-    down = transport.irradiance(lit.scene, depth, None).Ed.value / jnp.pi
+    down = downward(lit.scene, depth, transport) / jnp.pi
     arriving = down * jnp.exp(-lit.water.c[None, :] * pixels.distance[:, None])
     basis = jnp.asarray(_BASIS, dtype)
     scores = jnp.stack([values[f"albedo_{photo}_{k}"] for k in range(ALBEDO_TERMS)])

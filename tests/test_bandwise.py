@@ -1,0 +1,85 @@
+"""Derivatives of light fields band by band against those through the whole light field."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import oceaninv as oi
+from fitting._bandwise import downward, path_radiance
+
+WAVELENGTH = oi.spectrum.bands(4)
+DIRECTION = jnp.asarray([[0.6, 0.0, 0.8], [1.0, 0.0, 0.0], [0.0, 0.8, -0.6]])
+START = jnp.asarray([0.3, -0.2, 0.1, 35.0, 6.0, 2.0, 3.0, 4.0, 0.8])
+
+
+def unpacked(x):
+    """A scene, a depth and distances that all depend on the unknowns."""
+    grid = jnp.asarray(WAVELENGTH / 500.0)
+    a = 0.1 * jnp.exp(x[0] * grid) + jnp.asarray([0.0, 0.02, 0.1, 0.4])
+    b = jnp.stack([0.2 * grid ** x[1], 0.05 * (1.0 + x[2]) * jnp.ones_like(grid)])
+    phases = (oi.phase.HenyeyGreenstein(0.9), oi.phase.HenyeyGreenstein(0.5))
+    water = oi.IOPs(WAVELENGTH, a, b, phases)
+    light = oi.Light(x[3], x[8] * jnp.asarray([1.0, 1.2, 0.9, 0.7]))
+    return oi.Scene(water, light, oi.FlatSurface()), x[4], x[5:8]
+
+
+def banded(transport, x):
+    scene, depth, distance = unpacked(x)
+    seen = path_radiance(scene, depth, DIRECTION, distance, transport)
+    return jnp.stack([seen, downward(scene, distance, transport)])
+
+
+def plain(transport, x):
+    scene, depth, distance = unpacked(x)
+    zero = jnp.zeros_like(depth)
+    rays = oi.Rays(jnp.stack([zero, zero, depth]), DIRECTION, distance)
+    seen = transport.radiance(scene, rays, None).value
+    return jnp.stack([seen, transport.irradiance(scene, distance, None).Ed.value])
+
+
+@pytest.mark.parametrize(
+    "transport",
+    [
+        pytest.param(oi.TwoStream(), id="two-stream"),
+        pytest.param(oi.PlaneParallel(4, 2), id="plane-parallel", marks=pytest.mark.slow),
+    ],
+)
+def test_value_and_both_modes_are_those_of_the_light_field(transport):
+    x = START.astype(jnp.float64)
+
+    def with_slope(light):
+        return jax.jit(
+            lambda x: (light(transport, x), jax.jacfwd(lambda x: light(transport, x))(x))
+        )
+
+    value, slope = with_slope(banded)(x)
+    wanted, true = with_slope(plain)(x)
+    np.testing.assert_allclose(value, wanted, rtol=1e-13)
+    slope, true = np.asarray(slope), np.asarray(true)
+    scale = np.abs(true).max(axis=(0, 1, 2))
+    np.testing.assert_allclose(slope / scale, true / scale, atol=1e-13)
+    assert np.all(scale > 0)
+
+    weight = jnp.cos(jnp.arange(value.size, dtype=x.dtype)).reshape(value.shape)
+    pulled = jax.jit(jax.grad(lambda x: jnp.sum(weight * banded(transport, x))))(x)
+    np.testing.assert_allclose(pulled, np.einsum("qnw,qnwx->x", weight, true), rtol=1e-11)
+
+
+def test_derivative_in_what_is_not_banded_is_exact_too():
+    def of(g, light):
+        scene, depth, distance = unpacked(START)
+        assert isinstance(scene.water, oi.IOPs)
+        phases = (oi.phase.HenyeyGreenstein(g), oi.phase.HenyeyGreenstein(0.5))
+        water = oi.IOPs(WAVELENGTH, scene.water.a, scene.water.b_components, phases)
+        return light(oi.Scene(water, scene.light, scene.surface), depth, distance)
+
+    def direct(scene, depth, distance):
+        return oi.TwoStream().irradiance(scene, distance, None).Ed.value
+
+    def ours(scene, depth, distance):
+        return downward(scene, distance, oi.TwoStream())
+
+    slope = jax.jacfwd(lambda g: of(g, ours))(jnp.asarray(0.8))
+    np.testing.assert_allclose(slope, jax.jacfwd(lambda g: of(g, direct))(jnp.asarray(0.8)))
+    assert np.all(np.abs(slope) > 0)
