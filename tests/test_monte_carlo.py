@@ -246,7 +246,29 @@ def test_order_pays(monkeypatch):
     assert np.exp(np.log(ratio).mean()) > 1.3, ratio
 
 
+@pytest.mark.slow
+def test_longer_flights_and_the_worth_of_walks_up_pay(monkeypatch):
+    """Deep in water that absorbs."""
+    transport, key = oi.MonteCarlo(2**15, 16, thin=False), jax.random.key(14)
+    now = below(DEEP, key, transport)[1]
+    for name in ("_LONGER", "_TILT"):
+        monkeypatch.setattr(_forward, name, 0.0)
+    jax.clear_caches()
+    ratio = below(DEEP, key, transport)[1][:, 1] / now[:, 1]
+    jax.clear_caches()
+    assert (ratio > 1.2).all(), ratio
+
+
+def test_light_of_the_floor_at_the_floor_is_known():
+    """Lambert's law: its scalar irradiance is twice what goes up, walk by walk."""
+    found = oi.irradiance(
+        nadir(A([0.2, 0.0, 0.5, 0.3])), A([10.0]), oi.MonteCarlo(64, 2), key=jax.random.key(1)
+    )
+    np.testing.assert_allclose(found.E0.value - found.Ed.value, 2 * found.Eu.value, rtol=1e-12)
+
+
 THICK = A([0.3, 0.5, 0.5, 0.3])
+DEEP = A([0.5, 0.5, 0.5, 0.3])
 
 
 _ON_DEVICES = """

@@ -15,7 +15,7 @@ from oceaninv.phase import (
     TwoTermHenyeyGreenstein,
     petzold,
 )
-from oceaninv.transport import _ordered, _sampling
+from oceaninv.transport import _ordered, _paths, _sampling
 
 PHASES = {
     "isotropic": Isotropic(),
@@ -28,6 +28,7 @@ PHASES = {
     "Petzold": petzold(),
 }
 DRAWS = 2**17
+A = jnp.asarray
 
 
 @pytest.mark.parametrize("name", PHASES)
@@ -67,6 +68,35 @@ def test_directions_keep_angle_azimuth_and_length():
     for sample in (squared, azimuth, *map(np.asarray, u)):
         counts, _ = np.histogram(sample, 64, (0.0, 1.0))
         assert stats.chisquare(counts).pvalue > 1e-4
+
+
+@pytest.mark.parametrize("rate", [0.3, 1.0, 1.7])
+@pytest.mark.parametrize("floor", [None, 1.5])
+def test_flights_drawn_at_another_rate_bring_the_same_light_everywhere(rate, floor):
+    """Weights summed by bins of depth, and at the floor, against the exponential law; a flight of
+    3 mean free paths to the floor, of whose light half comes back, and one without an end."""
+    one, sigma, steep = jnp.ones(DRAWS), 1.6, 0.8
+    end = None if floor is None else jnp.asarray(floor)
+    domain = _paths.Domain(jnp.zeros(0), end, None)
+    tables, none = jnp.zeros((1, _sampling.BINS + 1)), jnp.zeros(0)
+    proposal = _paths.Proposal(A([sigma]), tables, A(0.5), none, A([sigma]))
+    direction = (0.6 * one, 0.0 * one, steep * one)
+    blank = (0.0 * one,)
+    lanes = _paths.Lanes((0.0 * one,) * 3, direction, one, blank, blank, 0.0 * one, None, None)
+    words = _sampling.key_words(jax.random.key(8))
+    u = _sampling.uniforms(jnp.arange(DRAWS, dtype=jnp.uint32), jnp.uint32(0), words, jnp.float64)
+    ahead = _paths.flight(domain, proposal, lanes)
+    after, vertex = _paths.advance(domain, proposal, lanes, ahead, u, rate * one)
+    edges = np.linspace(0.0, 1.5, 16)
+    z, weight = np.asarray(after.position[2]), np.asarray(after.weight)
+    bins = (np.digitize(z, edges) - 1)[None, :] == np.arange(15)[:, None]
+    parts = np.where(bins & np.asarray(vertex.scattered), weight, 0.0)
+    exact = -np.diff(np.exp(-sigma * edges / steep))
+    if floor is not None:
+        parts = np.vstack([parts, np.where(vertex.scattered, 0.0, weight)])
+        exact = np.append(exact, 0.5 * np.exp(-sigma * floor / steep))
+    errors = (parts.mean(1) - exact) / (parts.std(1) / np.sqrt(DRAWS))
+    assert abs(errors).max() < 4, errors
 
 
 def test_lanes_share_the_strata_of_every_number():

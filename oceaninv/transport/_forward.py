@@ -22,6 +22,8 @@ from oceaninv.transport.base import Estimate
 _GRAZING = 0.003  # below this cosine, 1/cosine counts as its mean over the band, 2/0.003:
 # right where light is even there; a band of 0.03 put E0 of thin layers off by 0.03 %
 _FAR = 8.0  # e-foldings of the light: beyond them no walks are gathered
+_LONGER = 0.8  # of the rate at which light falls off, by how much flights down are drawn longer
+_TILT = 0.7  # power of the share of light that comes back, by which walks up are worth more
 _GROUPS = 64  # of walks, at least, where there are so many: their scatter tells the error
 _MOST = 8192  # walks in a group
 _SKY = 0x51ED270B  # sets the draws of the sky's directions apart
@@ -54,6 +56,9 @@ def _crossing(world: World, depth: Array, lanes: Lanes, weight: Array, factor: A
     z, up = lanes.position[2], lanes.direction[2] < 0
     steep = jnp.maximum(jnp.abs(lanes.direction[2]), 1e-6)
     slanted = jnp.where(steep < _GRAZING, 2.0 / _GRAZING, 1.0 / steep)
+    if world.domain.floor is not None and factor is None:
+        # Light of the floor itself: the mean of 1/cosine over Lambert's law, whose variance is none.
+        slanted = jnp.where(up & (z == world.domain.floor) & (depth == z), 2.0, slanted)
     passes = jnp.where(up, depth <= z, depth >= z)
     length = jnp.where(passes, jnp.abs(depth - z) / steep, 0.0)
     beyond = _paths.by_layer(world.domain, z, jnp.where(passes, depth, z), length)
@@ -94,11 +99,47 @@ def _fallen(world: World, z: Array) -> Array:
     return jnp.minimum(depth, _FAR)
 
 
-def _worth(world: World, depths: Array, z: Array) -> Array:
-    """How much a walk at z may bring to the depths, each relative to the light that is there: it
-    falls off like the light itself.  Walks gather where there is little light to count."""
+def _turning(world: World) -> Array:
+    """The share of the light that comes back up, by layer and with all below it, (layer,): two
+    streams (Kubelka & Munk), the mean of all bands.  Not below a thousandth."""
+    medium = jax.lax.stop_gradient(world.medium)
+    below = jnp.zeros_like(medium.c[0]) if world.domain.floor is None else world.proposal.floor
+    found = []
+    for i, (top, bottom) in reversed(list(enumerate(_paths.bounds(world.domain)))):
+        rows, phases = medium.rows[i], medium.phases[i]
+        even = 1.0 - jnp.stack([jnp.asarray(p.asymmetry, rows.dtype) for p in phases])
+        back, a = 0.5 * (even @ rows), medium.c[i] - jnp.sum(rows, axis=0)
+        fall = jnp.maximum(safe_sqrt(a * (a + 2.0 * back)), 1e-6 * medium.c[i] + 1e-9)
+        # 1.5: how much longer than upright ways those of diffuse light are.
+        optical = 1.5 * fall * (bottom - top)
+        turned = jnp.tanh(optical) / (fall + (a + back) * jnp.tanh(optical))
+        through = 1.0 / (jnp.cosh(optical) + (a + back) / fall * jnp.sinh(optical))
+        own = back * turned
+        below = own + through**2 * below / (1.0 - own * below)
+        found.insert(0, jnp.maximum(jnp.mean(below), 1e-3))
+    return jnp.stack(found)
+
+
+def _worth(world: World, depths: Array, lanes: Lanes) -> Array:
+    """How much a walk may bring to the depths, each relative to the light that is there: it falls
+    off like the light itself.  Walks gather where there is little light to count.  One that heads
+    upwards is worth more to upward light above it, the rarer that is, and less to what is below."""
+    z = lanes.position[2]
     own, wanted = _fallen(world, z)[..., None], _fallen(world, depths)[None, None, :]
-    return jnp.mean(jnp.exp(jnp.minimum(own, 2.0 * wanted - own)), axis=-1)
+    turning = _turning(world)[_paths.layer_of(world.domain, z)][..., None] ** _TILT
+    up = (lanes.direction[2] < 0)[..., None]
+    above = jnp.exp(2.0 * wanted - own) * jnp.where(up, 1.0 / turning, 1.0)
+    below = jnp.exp(own) * jnp.where(up, turning, 1.0)
+    return jnp.mean(jnp.where(wanted <= own, above, below), axis=-1)
+
+
+def _rate(world: World, lanes: Lanes) -> Array:
+    """At which flights are drawn: those that lead down, longer than chance has it, as the light
+    that is worth more there makes good (exponential transform; Clark 1966, Nucl. Sci. Eng.
+    26:236)."""
+    proposal, layer = world.proposal, _paths.layer_of(world.domain, lanes.position[2])
+    fall = proposal.decay[layer] / proposal.rate[layer]
+    return 1.0 - _LONGER * fall * jnp.maximum(lanes.direction[2], 0.0)
 
 
 class Entry(NamedTuple):
@@ -181,7 +222,8 @@ def _elastic(
 
         order = Order(
             lambda lanes: -jnp.expm1(-_fallen(world, lanes.position[2])),
-            (lambda lanes: _worth(world, depths, lanes.position[2])) if gathers else None,
+            (lambda lanes: _worth(world, depths, lanes)) if gathers else None,
+            (lambda lanes: _rate(world, lanes)) if gathers else None,
         )
         shape = (len(unit), depths.shape[0], 3, len(scene.wavelength))
         blank = jnp.zeros(shape, lanes.weight.dtype)

@@ -39,10 +39,12 @@ _DEPTH_BITS = 11  # of each coordinate along the curve
 
 class Order(NamedTuple):
     """How walks are put in order and drawn anew: `height`, where a walk is, from 0 to 1; `worth`,
-    what it may still bring relative to its weight, None where walks stay as they are."""
+    what it may still bring relative to its weight, and `rate`, at which its next flight is drawn
+    relative to the proposal's: None where walks stay as they are."""
 
     height: Callable[[Lanes], Array]
     worth: Callable[[Lanes], Array] | None
+    rate: Callable[[Lanes], Array] | None
 
 
 def _reversed(word):

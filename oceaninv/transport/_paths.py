@@ -196,10 +196,16 @@ class Vertex(NamedTuple):
 
 
 def advance(
-    domain: Domain, proposal: Proposal, lanes: Lanes, ahead: Flight, u: tuple
+    domain: Domain,
+    proposal: Proposal,
+    lanes: Lanes,
+    ahead: Flight,
+    u: tuple,
+    rate: Float[Array, "..."] | None = None,
 ) -> tuple[Lanes, Vertex]:
     """The walks at the ends of their flights, not yet turned.  The weight of a walk that scattered
-    lacks the phase function over the density of its new direction."""
+    lacks the phase function over the density of its new direction.  `rate`: relative to the
+    proposal's, at which flights are drawn; 1 for None."""
     scatters = -jnp.expm1(-ahead.optical)
     kept = ahead.returned + scatters
     # Also in the thinnest water one walk in four scatters.
@@ -207,10 +213,16 @@ def advance(
     # Light that comes back from far is rare, and may be all that there is to see.
     chance = jnp.minimum(jnp.maximum(chance, _RARE * safe_sqrt(chance)), _BOUNCED)
     bounced = u[3] < chance
+    if rate is None:
+        depth = jnp.minimum(-jnp.log1p(u[0] * jnp.expm1(-ahead.optical)), ahead.optical)
+        drawn = scatters
+    else:
+        within = jnp.expm1(-rate * ahead.optical)
+        depth = jnp.minimum(-jnp.log1p(u[0] * within) / rate, ahead.optical)
+        drawn = -within / rate * jnp.exp((rate - 1.0) * depth)
     share = jnp.where(
-        bounced, ahead.returned / jnp.where(bounced, chance, 1.0), scatters / (1.0 - chance)
+        bounced, ahead.returned / jnp.where(bounced, chance, 1.0), drawn / (1.0 - chance)
     )
-    depth = jnp.minimum(-jnp.log1p(u[0] * jnp.expm1(-ahead.optical)), ahead.optical)
     length, z = _scattered_at(domain, proposal, lanes, depth)
     end = jnp.where(ahead.up, 0.0, 0.0 if domain.floor is None else domain.floor)
     if domain.things:
