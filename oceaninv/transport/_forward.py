@@ -25,7 +25,7 @@ _FAR = 8.0  # e-foldings of the light: beyond them no walks are gathered
 _LONGER = 0.8  # of the rate at which light falls off, by how much flights down are drawn longer
 _TILT = 0.7  # power of the share of light that comes back, by which walks up are worth more
 _GROUPS = 64  # of walks, at least, where there are so many: their scatter tells the error
-_MOST = 8192  # walks in a group
+_MOST = 16384  # walks in a group
 _SKY = 0x51ED270B  # sets the draws of the sky's directions apart
 
 
@@ -57,7 +57,8 @@ def _crossing(world: World, depth: Array, lanes: Lanes, weight: Array, factor: A
     steep = jnp.maximum(jnp.abs(lanes.direction[2]), 1e-6)
     slanted = jnp.where(steep < _GRAZING, 2.0 / _GRAZING, 1.0 / steep)
     if world.domain.floor is not None and factor is None:
-        # Light of the floor itself: the mean of 1/cosine over Lambert's law, whose variance is none.
+        # Light of the floor itself: 1/cosine by its mean over Lambert's law, for its variance is
+        # without a bound.
         slanted = jnp.where(up & (z == world.domain.floor) & (depth == z), 2.0, slanted)
     passes = jnp.where(up, depth <= z, depth >= z)
     length = jnp.where(passes, jnp.abs(depth - z) / steep, 0.0)

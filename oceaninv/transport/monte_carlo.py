@@ -36,7 +36,7 @@ class MonteCarlo(AbstractTransport):
     **Arguments:**
 
     - `paths`: walks per ray; for irradiance, in all.  Rounded up to whole groups: of 32, for
-      irradiance as many as leave 64 groups of each source, up to 8192 walks a group.  Its walks
+      irradiance as many as leave 64 groups of each source, up to 16384 walks a group.  Its walks
       share low-discrepancy points by group, so that errors fall faster than the root of `paths`.
     - `bounces`: events (scatterings and reflections) per walk.
     - `thin`: whether only one walk in eight, drawn by its importance, goes on after 6 events.
