@@ -23,8 +23,8 @@ from fitting._photo_problem import (
 from fitting._planned import EXACT, Demand, corrected, fit_within, scene_at
 from fitting._programs import kept
 from fitting._valley import widened
-from fitting.parameters import Parameter
-from fitting.posterior import Fit, Predictive
+from fitting.parameters import Log, Parameter
+from fitting.posterior import Fit, Predictive, amount_bias
 from fitting.quantities import UNITS, nearest_jerlov, quantities_of
 from fitting.readings import Photo
 from fitting.solve import Bend, Optimum, covariance, curvature, sentence, value_and_jacobian
@@ -206,11 +206,11 @@ def fit_photo(
     water's optical properties and the error of the closed form are free nuisances with priors, so
     that the intervals of the quantities (Kd, c, bb, a_cdm) and constituents hold what is known.
 
-    Constituents are corrected for the curvature of the model: the mode of a curved model is off
-    by a share of its uncertainty even on average, which Box (1971) estimates to second order.
-    That bias, bounded by half a standard deviation, is taken off every parameter's value
-    (`Fit.bias`); quantities hardly have one and are those of the mode, as are `Fit.x`, the
-    predictions and the middles of intervals, which curvature widens (`Fit.bend`).
+    Constituents are corrected for the curvature of the model: readings are nearly linear in
+    amounts, and the mode of a logarithm is then low by half its variance (Box 1971).  That bias,
+    bounded by half a standard deviation, is taken off their values (`Fit.bias`); quantities
+    hardly have one and are those of the mode, as are `Fit.x`, the predictions and the middles of
+    intervals, which curvature widens (`Fit.bend`).
 
     Standard deviations of unknowns beside a constituent that may as well be absent are those of
     their profiles along it (`Fit.covariance` is scaled): at such an optimum the ellipsoid takes it
@@ -384,13 +384,13 @@ def _fitted(readings, residual: np.ndarray, robust) -> np.ndarray:
     return np.concatenate(parts)
 
 
-def _bent(bend: Bend | None, cov: np.ndarray) -> tuple[np.ndarray | None, np.ndarray | None]:
+def _bent(bend: Bend | None, parameters, cov) -> tuple[np.ndarray | None, np.ndarray | None]:
     """Bias and second-order spread, bounded: second order is not to be trusted further."""
     if bend is None:
         return None, None
     sd = np.sqrt(np.diag(cov))
-    bias = np.clip(np.asarray(bend.bias), -0.5 * sd, 0.5 * sd)
-    return bias, np.minimum(np.asarray(bend.spread), sd)
+    amounts = np.array([isinstance(p.transform, Log) and not p.nuisance for p in parameters])
+    return np.where(amounts, amount_bias(sd), 0.0), np.minimum(np.asarray(bend.spread), sd)
 
 
 def _result(
@@ -416,7 +416,7 @@ def _result(
         "1",
     )
     quantities, sensitivity = quantities_of(values, slopes, parameters, cov, bend)
-    bias, spread = _bent(bend, cov)
+    bias, spread = _bent(bend, parameters, cov)
     if bend is not None:
         cov = widened(problem, parameters, optimum.x, cov)
     jerlov, away = nearest_jerlov(WAVELENGTH, quantities["Kd"])

@@ -67,6 +67,18 @@ def half_width(level: float, sd: Any, bend: Any = 0.0, dof: Any = None):
     return np.hypot(z * sd, (z * z - 1.0) * bend / np.sqrt(2.0))
 
 
+def amount_bias(sd: Any):
+    """What the mode of an amount's logarithm errs by on average, its standard deviations given.
+
+    Readings are nearly linear in amounts, and of (e^x - 1)/s the mode of x is off by -s^2/2 (Box
+    1971, Journal of the Royal Statistical Society B 33:171); bounded by half a standard deviation,
+    for second order is not to be trusted further.  Where unknowns are known well, Box's sum over
+    all of them comes to this; where they are not, it falls short at optima that came out low, which
+    are furthest off.
+    """
+    return -0.5 * sd * sd.clip(max=1.0)
+
+
 @dataclasses.dataclass(frozen=True)
 class Predictive:
     """Observations beside what the fitted model predicts, all of one shape.
@@ -100,9 +112,9 @@ class Fit:
     - `problem`: the posterior itself, for `fitting.sample`; None where a fit keeps none.
     - `samples`: (draw, unknown) coordinates drawn from the posterior, or None; intervals are
       then their quantiles.
-    - `bias`: (unknown,) what the curvature of the model makes the mode `x` err by on average;
-      taken off `value`.  `bend`: (unknown,) spread of that second-order error, which widens the
-      intervals (see `half_width`).  None for neither.
+    - `bias`: (unknown,) what the mode `x` errs by on average (`amount_bias`); taken off `value`.
+      `bend`: (unknown,) spread of its second-order error, which widens the intervals (see
+      `half_width`).  None for neither.
     """
 
     parameters: Parameters

@@ -134,12 +134,10 @@ def covariance(jacobian: Float[Array, "residual unknown"]) -> Float[Array, "unkn
 class Bend(eqx.Module):
     """What the curvature of a model does to a mode, to second order.
 
-    - `bias`: (unknown,) how far the mode lies from the truth on average.
     - `spread`, `derived`: standard deviation of the second-order part of the errors of the
-      coordinates, and of a tree of derived numbers.
+      coordinates (unknown,), and of a tree of derived numbers.
     """
 
-    bias: Float[Array, " unknown"]
     spread: Float[Array, " unknown"]
     derived: Any
 
@@ -152,15 +150,14 @@ def curvature(
     slopes: Any,
     step: float = 0.1,
 ) -> Bend:
-    """The second-order errors of a mode of curved least squares.
+    """How the second-order errors of a mode of curved least squares scatter.
 
     `function` (x) -> (residual, tree of derived numbers); `slopes`: the Jacobian of the latter.  A
     mode errs by d + q(d), d its linear error and q_i = 1/2 d^T M_i d with M_i the Hessian of
-    x_i - (C J^T r)_i, so on average by 1/2 tr M_i C: -1/2 C J^T m of Box 1971 (Journal of the
-    Royal Statistical Society B 33:171).  The spread of q is (1/2 tr (M_i C)^2)^1/2.
+    x_i - (C J^T r)_i.  The spread of q is (1/2 tr (M_i C)^2)^1/2.
 
     Second differences over `step` standard deviations along as many orthogonal axes, turned at
-    random, as there are unknowns: the trace is exact, its square is within some 30 %.  One more
+    random, as there are unknowns: the trace of the square is within some 30 %.  One more
     copy of the model to compile, but of no derivative.
     """
     count = x.shape[0]
@@ -190,7 +187,7 @@ def curvature(
         return spread(own + carried)
 
     derived = jax.tree.map(of_tree, of_derived, slopes)
-    return Bend(0.5 * jnp.sum(pull, axis=0), spread(pull), derived)
+    return Bend(spread(pull), derived)
 
 
 def cross_check(

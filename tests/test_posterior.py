@@ -9,7 +9,13 @@ from scipy.stats import norm, t
 
 from fitting import Fit, Identity, Logit, Parameter, Quantity
 from fitting.parameters import Parameters
-from fitting.posterior import Predictive, derived_quantity, half_width, quantile
+from fitting.posterior import (
+    Predictive,
+    amount_bias,
+    derived_quantity,
+    half_width,
+    quantile,
+)
 
 
 def fit(parameters, x, sd, correlation=0.0, dof=None, result="converged"):
@@ -79,6 +85,13 @@ def test_a_bent_error_stays_inside_its_half_width(level):
         inside = np.abs(z + c * (z * z - 1)) < half_width(level, 1.0, np.sqrt(2.0) * abs(c))
         assert level - 0.03 < inside.mean() < level + 0.035
     assert half_width(level, 0.2, 0.0, 5.0) == pytest.approx(0.2 * quantile(level, 5.0))
+
+
+def test_the_mode_of_an_amounts_logarithm_is_off_by_its_bias():
+    """Of an amount of 1 read with an error of 0.05, and no further than half a deviation."""
+    z = np.random.default_rng(2).standard_normal(1_000_000)
+    assert np.mean(np.log(1 + 0.05 * z)) == pytest.approx(amount_bias(np.array(0.05)), abs=2e-4)
+    np.testing.assert_allclose(amount_bias(np.array([0.5, 1.0, 3.0])), [-0.125, -0.5, -1.5])
 
 
 def test_the_value_is_the_mode_less_its_bias_and_the_interval_is_about_the_mode():

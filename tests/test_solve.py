@@ -170,7 +170,7 @@ def test_directions_that_nothing_constrains_are_huge_not_nan(kind, dtype):
     assert cov[0, 0] == pytest.approx(best, rel=1e-3)
 
 
-def test_curvature_gives_bias_and_spread_of_a_quadratic_model():
+def test_curvature_gives_the_spread_of_a_quadratic_model():
     """r_i = x_i + c_i (d_i . x)^2 over the spreads s_i, d_i of length 1 in these: the mode errs by
     -c_i z^2, z standard normal, of mean -c_i and standard deviation 2^(1/2) c_i."""
     rng = np.random.default_rng(3)
@@ -188,7 +188,6 @@ def test_curvature_gives_bias_and_spread_of_a_quadratic_model():
     _, jacobian = value_and_jacobian(lambda x: function(x)[0], x)
     _, slopes = value_and_jacobian(lambda x: function(x)[1], x)
     found = curvature(function, x, covariance(jacobian), jacobian, slopes)
-    np.testing.assert_allclose(found.bias, -bend * size, rtol=1e-8)
     # The spread is estimated from as many directions as there are unknowns: right on average.
     share = np.asarray(found.spread) / (np.sqrt(2) * np.abs(bend) * size)
     assert np.sqrt(np.mean(share**2)) == pytest.approx(1.0, abs=0.12)

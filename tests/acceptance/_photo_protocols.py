@@ -16,6 +16,7 @@ from fitting._photo_problem import predict_all
 from fitting._valley import followed, walk
 from fitting.parameters import Parameter, Parameters, Prior
 from fitting.photo import PhotoProblem, prepare, search
+from fitting.posterior import amount_bias
 from fitting.quantities import water_quantities
 from fitting.regions import held, whitening
 from fitting.solve import covariance, curvature, value_and_jacobian
@@ -163,7 +164,7 @@ def _unknowns(protocol: Protocol, water: tuple[float, ...]):
         spread = p.spread if spread is None else spread
         if match and not p.nuisance:
             # Known from a sample to so much: the prior is about the truth.
-            p = Parameter(p.name, dict(zip(CONSTITUENTS, water, strict=True))[p.name])
+            p = Parameter(p.name, water[CONSTITUENTS.index(p.name)])
         if match or not p.nuisance:
             free.append(Parameter(p.name, p.centre, spread, p.transform, p.unit, p.nuisance))
         else:
@@ -219,7 +220,7 @@ def setup(name: str, water: tuple[float, ...] = WATERS["coastal"]) -> Setup:
             "joint": asked @ cov @ asked.T,
             "square": jnp.sum(optimum.residual**2),
             "chi2": jnp.sum(optimum.residual**2) / seen.size,
-            "bias": jnp.clip(bend.bias, -0.5 * sd, 0.5 * sd),
+            "bias": amount_bias(sd),
             "spread": jnp.minimum(bend.spread, sd),
             "logs": logs,
             "of_logs": of_logs,
@@ -275,8 +276,7 @@ def observe(made: Setup, x: np.ndarray, seed: int):
 def priors(made: Setup, count: int) -> Prior:
     """The protocol's priors, one row a draw."""
     prior = made.parameters.prior()
-    rows = (np.tile(np.asarray(v), (count, 1)) for v in (prior.centre, prior.weight, prior.scale))
-    return Prior(*rows)
+    return jax.tree.map(lambda row: np.tile(np.asarray(row), (count, 1)), prior)
 
 
 def fit_all(made: Setup, seen: np.ndarray, prior: Prior | None = None) -> dict[str, np.ndarray]:

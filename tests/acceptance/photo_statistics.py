@@ -38,7 +38,7 @@ from fitting import Background, Chart, Photo
 from fitting.cli import quick_compilation
 from fitting.parameters import Prior
 from fitting.photo import WAVELENGTH, PhotoProblem, predict, prepare, search
-from fitting.posterior import half_width
+from fitting.posterior import amount_bias, half_width
 from fitting.quantities import water_quantities
 from fitting.solve import covariance, curvature, value_and_jacobian
 from tests.acceptance import _mismatched
@@ -112,7 +112,7 @@ def programs():
 
         bend = curvature(curved, optimum.x, cov, optimum.jacobian, slope)
         sd = jnp.sqrt(jnp.diagonal(cov))
-        bias, spread = jnp.clip(bend.bias, -0.5 * sd, 0.5 * sd), jnp.minimum(bend.spread, sd)
+        bias, spread = amount_bias(sd), jnp.minimum(bend.spread, sd)
         of_logs = jnp.sqrt(jnp.einsum("qi,ij,qj->q", slope, cov, slope))
         derived = jnp.minimum(bend.derived, of_logs)
         return optimum.x, optimum.code, cov, chi2, bias, spread, logs, of_logs, derived
