@@ -54,9 +54,9 @@ def _bandwise(function):
             return function(tuple(all_[: len(rows)]), tuple(all_[len(rows) : -1]), all_[-1], rest)
 
         here = tuple(leaves[k] for k in live)
-        value, slopes = jax.vmap(lambda *push: jax.jvp(of, here, push), out_axes=(None, 0))(
-            *_basis(list(here))
-        )
+        # One pass after the other: side by side, what they share would be computed in each.
+        value, linear = jax.linearize(of, *here)
+        slopes = jax.lax.map(lambda push: linear(*push), _basis(list(here)))
         # As a product of matrices: in one of elements the compiler would repeat the light field for
         # every unknown (XLA on a CPU fuses what makes an element into each of its uses).
         shape = slopes.shape
