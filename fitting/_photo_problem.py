@@ -44,11 +44,41 @@ _LAMP_EVENNESS = 0.1
 _ALGAL_ABSORPTION = 0.55
 
 
+# By how much (ln) a correction may change from where it was made: further off it is not known.
+_REACH = 0.5
+
+
+class Correction(eqx.Module):
+    """By what factor a dearer model sees each reading otherwise than a fit's own, to first order in
+    the unknowns about one point, and how a search goes on from there.
+
+    - `log`: ln of it there, by photograph; `slope`: its derivative by the unknowns in `unit`.
+    - `about`: the point; `unit`: standard deviations of the unknowns.
+    - `hold`: how firmly a search is held to the point, as by a datum of 1 / hold units.
+    - `blur`: by how much the readings are blurred in the first stage of a search.
+    """
+
+    log: tuple[Float[Array, "reading channel"], ...]
+    slope: tuple[Float[Array, "reading channel unknown"], ...]
+    about: Float[Array, " unknown"]
+    unit: Float[Array, " unknown"]
+    hold: Float[Array, ""]
+    blur: Float[Array, ""]
+
+    def away(self, x: Float[Array, " unknown"]) -> Float[Array, " unknown"]:
+        return (x - self.about) / self.unit
+
+    def factor(self, photo: int, x: Float[Array, " unknown"]) -> Float[Array, "reading channel"]:
+        change = self.slope[photo] @ self.away(x)
+        return jnp.exp(self.log[photo] + _REACH * jnp.tanh(change / _REACH))
+
+
 class PhotoProblem(AbstractProblem):
     """The posterior of photographs of one water.
 
     - `known`: names of ancillary values; `known_values`: their (ln value, relative sd).
     - `robust`: residuals beyond so many standard deviations count linearly, None: all squared.
+    - `correction`: of what the transport makes of the readings.
     """
 
     layout: Parameters = eqx.field(static=True)
@@ -59,6 +89,7 @@ class PhotoProblem(AbstractProblem):
     known: tuple[str, ...] = eqx.field(static=True, default=())
     known_values: Float[Array, "known 2"] | None = None
     robust: Float[Array, ""] | None = None
+    correction: Correction | None = None
 
     def residual(self, x: Float[Array, " unknown"]) -> Float[Array, " residual"]:
         """Readings, pixels, ancillary values and priors, each in standard deviations."""
@@ -67,6 +98,8 @@ class PhotoProblem(AbstractProblem):
         for p, one in enumerate(self.readings):
             lit = light_up(values, one, self.sunlight, p)
             seen = predict_lit(lit, values, one, self.transport, p)
+            if self.correction is not None:
+                seen = seen * self.correction.factor(p, x)
             off = jnp.where(one.mask, (one.values - seen) / one.sigma, 0.0).reshape(-1)
             data.append(off if self.robust is None else _robust(off, self.robust))
             if one.pixels is not None:
@@ -172,28 +205,6 @@ def predict_all(layout, readings, transport, sunlight, x):
     return tuple(found)
 
 
-def exact_ratios(problem: PhotoProblem, x, cheap, exact) -> tuple[list[np.ndarray], float]:
-    """By photograph what `exact` makes of each reading over what `cheap` does, and the largest
-    share by which one differs."""
-    layout, readings, sun = problem.layout, problem.readings, problem.sunlight
-    seen = [predict_all(layout, readings, model, sun, jnp.asarray(x)) for model in (cheap, exact)]
-    pairs = zip(*seen, strict=True)
-    found = [np.asarray(true) / np.asarray(first) for (first, _), (true, _) in pairs]
-    return found, max(float(np.max(np.abs(one - 1.0), initial=0.0)) for one in found)
-
-
-def scaled(problem: PhotoProblem, ratio: Sequence[np.ndarray]) -> PhotoProblem:
-    """The posterior of a model whose predictions of the readings are `ratio` times as large: that
-    of readings divided by it, and their noise with them."""
-    pairs = list(zip(problem.readings, ratio, strict=True))
-    divided = [one.values / part for one, part in pairs] + [one.sigma / part for one, part in pairs]
-
-    def rows(p):
-        return [one.values for one in p.readings] + [one.sigma for one in p.readings]
-
-    return eqx.tree_at(rows, problem, divided)
-
-
 def _start_gains(parameters: Parameters, readings, transport, sunlight) -> Parameters:
     """Centre the gains where the model at the priors' centres is as bright as the readings."""
     centre = parameters.prior().centre
@@ -237,8 +248,14 @@ def search(problem: PhotoProblem, start: Float[Array, " unknown"]) -> Optimum:
     """The optimum of a photo fit.  Pure: jit and vmap it.
 
     Searches first as if the readings were ten times as uncertain: from the priors' centres, exact
-    readings can drive the first steps into opaque water, from where nothing leads back.
+    readings can drive the first steps into opaque water, from where nothing leads back.  A search
+    that goes on from where a correction was made says itself how blurred, and how firmly held to
+    that point, it is.
     """
+
+    correction = problem.correction
+    one = jnp.ones((), start.dtype)
+    first = 10.0 if correction is None else correction.blur
 
     def stage(x, widen):
         blurred = eqx.tree_at(
@@ -246,11 +263,22 @@ def search(problem: PhotoProblem, start: Float[Array, " unknown"]) -> Optimum:
             problem,
             [widen * one.sigma for one in problem.readings],
         )
-        optimum = least_squares(lambda x, _: blurred.residual(x), x, None, problem.prior.scale)
+
+        def held(x, _):
+            if correction is None:
+                return blurred.residual(x)
+            return jnp.concatenate([blurred.residual(x), correction.hold * correction.away(x)])
+
+        optimum = least_squares(held, x, None, problem.prior.scale)
         return optimum.x, optimum
 
-    _, stages = jax.lax.scan(stage, start, jnp.asarray([10.0, 1.0], start.dtype))
-    return jax.tree.map(lambda leaf: leaf[-1], stages)
+    _, stages = jax.lax.scan(stage, start, jnp.stack([jnp.asarray(first, start.dtype), one]))
+    found = jax.tree.map(lambda leaf: leaf[-1], stages)
+    if correction is None:
+        return found
+    # What held the search is no datum.
+    rows = found.residual.shape[0] - start.shape[0]
+    return Optimum(found.x, found.residual[:rows], found.jacobian[:rows], found.code)
 
 
 def prepare(photos: Sequence[Photo], transport, priors=None, matrix: bool = False, sunlight=None):

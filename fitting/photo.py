@@ -10,17 +10,16 @@ import numpy as np
 from jaxtyping import Array, Float
 
 import oceaninv as oi
+from fitting._photo_exact import approached, uncorrected
 from fitting._photo_model import WAVELENGTH, predict
 from fitting._photo_problem import (
     PhotoProblem,
-    exact_ratios,
     photo_residual,
     predict_all,
     prepare,
-    scaled,
     search,
 )
-from fitting._planned import EXACT, Demand, corrected, fit_within, scene_at
+from fitting._planned import EXACT, Demand, fit_within, scene_at
 from fitting._programs import kept
 from fitting._valley import widened
 from fitting.parameters import Log, Parameter
@@ -227,10 +226,12 @@ def fit_photo(
     if starts < 1:
         raise ValueError(f"starts is {starts}; give 1 or more.")
 
-    def solve(model, start, ratio=None):
+    def solve(model, start, correction=None):
         parameters, problem = _problem(photos, model, priors, matrix, sunlight, know, robust)
-        if ratio is not None:
-            problem = scaled(problem, ratio)
+        if tolerance is not None:
+            # A fit and those that correct it share a program.
+            correction = correction or uncorrected(problem)
+            problem = dataclasses.replace(problem, correction=correction)
         begin = _starts(parameters, problem, starts) if start is None else jnp.asarray(start)[None]
         found, stated, factor = _solve(problem, begin), None, 1.0
         for _ in range(_ROUNDS):
@@ -241,12 +242,7 @@ def fit_photo(
             factor *= excess
             problem = _noisier(problem, excess)
             found = _solve(problem, jnp.broadcast_to(found[0].x, begin.shape))
-        fit = _result(photos, parameters, problem, *found, stated=stated, factor=factor)
-        if ratio is None:
-            return fit
-        seen, all_ = fit.posterior_predictive, np.concatenate(ratio)
-        rows = {n: getattr(seen, n) * all_ for n in ("observed", "predicted", "sd")}
-        return dataclasses.replace(fit, posterior_predictive=dataclasses.replace(seen, **rows))
+        return _result(photos, parameters, problem, *found, stated=stated, factor=factor)
 
     if tolerance is not None and any(photo.lamp for photo in photos):
         raise ValueError("tolerance chooses a model of daylight; lamplight has one model only.")
@@ -263,10 +259,12 @@ def fit_photo(
     if rung(chosen) == rung(EXACT):
         return fit
 
-    def look(x):
-        return exact_ratios(fit.problem, x, chosen, EXACT)
+    def search_again(problem, x):
+        optimum, cov, *_ = _solve(problem, jnp.asarray(x)[None])
+        return np.asarray(optimum.x), np.sqrt(np.diag(np.asarray(cov)))
 
-    return corrected(fit, EXACT, look, lambda x, ratio: solve(chosen, x, ratio))
+    stated = _noisier(fit.problem, 1.0 / fit.metadata["noise_factor"])
+    return approached(fit, stated, EXACT, search_again, lambda x, c: solve(chosen, x, c))
 
 
 def _starts(parameters, problem: PhotoProblem, count: int) -> Float[Array, "start unknown"]:
