@@ -1,6 +1,6 @@
 """Photo fits: one with every nuisance, 1e5 pixels of unknown reflectance, 100 photographs at once.
 
-    python -m tests.benchmarks.bench_photos [charts | pixels | batch]
+    python -m tests.benchmarks.bench_photos [charts | pixels | batch | lanes]
 
 Processor seconds of calls after the first (which compiles and is printed apart), best of three
 (of one in `batch`).
@@ -9,25 +9,27 @@ Processor seconds of calls after the first (which compiles and is printed apart)
   depth, robust loss.
 - `pixels`: 1e5 pixels at 1-6 m with open water, readings checked and summed up included.
 - `batch`: `fit_photos` of 100 such charts, each of its own water, against one.
+- `lanes`: residuals and their Jacobian of 32 photographs side by side, against one.
 
-Measured on one of two busy cores, for readings that scatter as stated: `charts` 0.26 s (first 56 s,
-compiling), 36 unknowns; `pixels` 0.93 s (first 92 s), c(550) known to 2 %.  Five
-fits side by side took 7.4 times one, so they now come one after the other; `batch` has not been run
-to its end since.  Where a constituent may as well be absent its valley is walked: `charts`, whose
-readings leave it so, took 0.17 s (first 53 s) without and 0.46 s with the walk, whose program, made
-when it is first needed, takes 21 s to compile.
+Measured on one of two busy cores, for readings that scatter as stated: `charts` 0.12 s (first 43 s,
+compiling), 37 unknowns; `pixels` 0.29 s (first 56 s), c(550) known to 2 %.  `batch`: 16 s for 100 photographs, 0.117 s for the first, 136 times; the
+average photograph takes longer, for its valleys are walked (two thirds of the time).  They come one
+after the other: side by side in 32 lanes a Jacobian takes 0.77 and 0.90 of one alone
+(`lanes`, twice), so that on two cores 100 photographs cannot take less than some 40 times one.
 """
 
 import sys
 import time
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 import oceaninv as oi
 from fitting import Background, Chart, Photo, Pixels, fit_photo, fit_photos
-from fitting.photo import WAVELENGTH, predict, prepare
+from fitting.photo import WAVELENGTH, _problem, predict, prepare
+from fitting.solve import value_and_jacobian
 from fitting.targets import target
 from tests.test_photo import scenery
 
@@ -111,11 +113,36 @@ def batch(count: int = 100):
     print(f"{all_ / one:.1f} x; {done} converged")
 
 
+def lanes(count: int = 32, repeats: int = 30):
+    """Print what a photograph's residuals and Jacobian cost alone and beside others."""
+    many = drawn(count, response=oi.spectrum.camera_response("Nikon D850"))
+    problems = [_problem([p], oi.TwoStream(), None, False, None, None, None)[1] for p in many]
+    stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *problems)
+
+    def slope(problem):
+        return value_and_jacobian(problem.residual, problem.prior.centre)
+
+    def spent(function, problem):
+        jax.block_until_ready(function(problem))
+        start = time.process_time()
+        for _ in range(repeats):
+            jax.block_until_ready(function(problem))
+        return (time.process_time() - start) / repeats
+
+    alone = spent(eqx.filter_jit(slope), problems[0])
+    beside = spent(eqx.filter_jit(lambda p: jax.vmap(slope)(p)), stacked) / count
+    print(
+        f"lanes: {1e3 * alone:.2f} ms alone, {1e3 * beside:.2f} ms beside {count - 1} others: ",
+        end="",
+    )
+    print(f"{beside / alone:.2f} x")
+
+
 def main():
     """Print what was asked for, all unless named."""
     jax.config.update("jax_enable_x64", True)
-    for name in sys.argv[1:] or ("charts", "pixels", "batch"):
-        {"charts": charts, "pixels": pixels, "batch": batch}[name]()
+    for name in sys.argv[1:] or ("charts", "pixels", "batch", "lanes"):
+        {"charts": charts, "pixels": pixels, "batch": batch, "lanes": lanes}[name]()
 
 
 if __name__ == "__main__":
