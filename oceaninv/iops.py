@@ -54,8 +54,9 @@ class IOPs(eqx.Module):
     ):
         wavelength = check_wavelength(wavelength)
         phases = (phases,) if isinstance(phases, AbstractPhase) else tuple(phases)
-        a = jnp.atleast_2d(jnp.asarray(a_components))
-        b = jnp.atleast_2d(jnp.asarray(b_components))
+        a, b = jnp.asarray(a_components), jnp.asarray(b_components)
+        # atleast_2d would be compiled for every shape, also where it has nothing to do.
+        a, b = (v if v.ndim == 2 else jnp.atleast_2d(v) for v in (a, b))
         for name, value in (("a_components", a), ("b_components", b)):
             if value.ndim != 2 or value.shape[1] != len(wavelength):
                 raise ValueError(

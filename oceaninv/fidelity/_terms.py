@@ -53,15 +53,18 @@ def reduced_scene(
         return scene, found, terms
     light = scene.light
     if "sky" in dropped:
-        light = Light(light.zenith, light.direct)
+        light = _with(light, diffuse=None, sky=None)
     floor = None if "floor" in dropped else scene.floor
     scene = _with(scene, light=light, floor=floor, inelastic=inelastic)
     return scene, errors.looks(scene, quantity, depth, found), terms
 
 
-def _with(scene: Scene, **changes) -> Scene:
-    names = ("water", "light", "surface", "floor", "objects", "lamps", "inelastic")
-    return Scene(**{name: changes.get(name, getattr(scene, name)) for name in names})
+def _with(module, **changes):
+    """A module with other parts, which are not checked again: that takes a quarter of a plan."""
+    made = object.__new__(type(module))
+    for name, value in {**vars(module), **changes}.items():
+        object.__setattr__(made, name, value)
+    return made
 
 
 def _judged(name: str, bound: float, share: float) -> Term:
@@ -183,9 +186,10 @@ def thinned(scene: Scene, pick: np.ndarray) -> Scene:
     def thin(spectra):
         if spectra is None:
             return None
-        # Concrete numbers are picked by numpy, which compiles nothing.
-        traced = isinstance(spectra, jax.core.Tracer)
-        return (spectra if traced else np.asarray(spectra))[..., pick]
+        if isinstance(spectra, jax.core.Tracer):
+            return spectra[..., pick]
+        # By numpy and device_put, unlike by jnp, nothing is compiled for every count of bands.
+        return jax.device_put(np.asarray(spectra)[..., pick])
 
     def water(one: IOPs) -> IOPs:
         rows = (thin(one.a_components), thin(one.b_components))

@@ -13,8 +13,8 @@ QUANTITIES = planning.QUANTITIES
 TOLERANCES = (0.1, 0.03, 0.01)
 # Least share of plans to be kept at each tolerance in scenes that a fit has not seen; the second
 # where it costs no more than the first, by the median over the cheapest rung that does.
-KEPT, FOLDS = (0.965, 0.985), 5
-CENTRES, RIDGE = 120, 0.1
+KEPT, FOLDS = (0.96, 0.985), 5
+CENTRES, RIDGE = 240, 0.1
 # Errors above what is expected weigh this much, those below it the rest: that an error passes
 # through zero somewhere says little of its neighbours.
 ABOVE, ROUNDS = 0.85, 12

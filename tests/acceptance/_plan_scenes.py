@@ -26,17 +26,8 @@ from oceaninv.fidelity import choice
 WAVELENGTH = np.linspace(400.0, 700.0, 8)
 REFERENCES = {"irradiance": oi.PlaneParallel(64, 1), "radiance": oi.PlaneParallel(64, 40)}
 DIRECTIONS, CHUNK = 20, 10
-# What plan() may choose for water alone, and dials between; photographs are made of radiance.
-TRIED = tuple(oi.PlaneParallel(n, m) for n, m in ((12, 12), (16, 12), (24, 24)))
-RUNS = {
-    "irradiance": choice.LADDERS["irradiance"],
-    "radiance": tuple(
-        {
-            choice.rung(t): t
-            for t in (*choice.LADDERS["radiance"], *choice.LADDERS["photograph"], *TRIED)
-        }.values()
-    ),
-}
+# What plan() may choose for water alone; photographs are made of radiance.
+RUNS = {quantity: choice.LADDERS[quantity] for quantity in ("irradiance", "radiance")}
 
 
 class Draw(eqx.Module):
@@ -53,6 +44,12 @@ class Draw(eqx.Module):
     share: jax.Array  # of the depth, where the eye is
     views: jax.Array  # (direction + pixel, 3)
     first: jax.Array  # of the bands of radiance: 0 or 1
+
+
+def draws_of(sets) -> Draw:
+    """Scenes of several seeds, one after the other: (count, seed) of each."""
+    parts = [draw(count, seed) for count, seed in sets]
+    return jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *parts)
 
 
 def draw(count: int, seed: int) -> Draw:
