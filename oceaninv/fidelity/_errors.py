@@ -4,7 +4,7 @@ The logarithm of a rung's error in one band is a smooth function of nine cheap n
 and the light: a plane, and Gaussians about bands of random scenes that are spread over all that
 occur (a Gaussian process with few inducing points; Quinonero-Candela & Rasmussen 2005).  That of a
 scene is the worst or the mean over bands, plus a margin with which plans for scenes that a fit had
-not seen kept their tolerance in 96.5 % or more.  `tests/acceptance/plan.py` fits the numbers, and
+not seen kept their tolerance in 96 % or more.  `tests/acceptance/plan.py` fits the numbers, and
 tests them on scenes of another seed.
 """
 

@@ -4,9 +4,8 @@
 
 Synthetic data made by `PlaneParallel()` with noise, and the two real samples.  Each is fitted
 through the full model (`PlaneParallel()`, unless other dials are given, by which the cheap fit is
-then corrected, too) and with tolerance 0.03, the latter twice, so that the second time is without
-compilation; of the full model's time that which JAX reports for compilation is taken off.  The
-full model's posterior may have
+then corrected, too) and with tolerance 0.03, twice, so that the second time is without
+compilation.  The full model's posterior may have
 two modes of nearly the same height: it is searched a second time from where the cheap fit ended,
 untimed, and the higher mode counts.  Prints the table and writes
 fit_tolerance_<kind>.md beside this file.  Seeded; the photographs take ten minutes of one core.
@@ -69,25 +68,11 @@ def photographs():
 
 
 def timed(fit):
-    """A fit, and its processor seconds without those (of the clock) that went into compilation."""
-    compiling = []
-
-    def listen(event: str, duration_secs: float, **_: str | int):
-        if event.startswith("/jax/core/compile"):
-            now = time.time()
-            compiling.append((now - duration_secs, now))
-
-    jax.monitoring.register_event_duration_secs_listener(listen)
+    """A fit, and the processor seconds of its second run."""
+    fit()
     start = time.process_time()
     found = fit()
-    seconds = time.process_time() - start
-    jax.monitoring.unregister_event_duration_listener(listen)
-    # Tracing holds tracing of what is called: the union of all.
-    reached = 0.0
-    for begin, end in sorted(compiling):
-        seconds -= max(end - max(begin, reached), 0.0)
-        reached = max(reached, end)
-    return found, seconds
+    return found, time.process_time() - start
 
 
 def highest(full, lean):
@@ -111,7 +96,6 @@ def highest(full, lean):
 
 def row(name: str, fit, data, exact) -> str:
     """One line of the table."""
-    fit(data, tolerance=TOLERANCE)
     lean, cheap = timed(lambda: fit(data, tolerance=TOLERANCE))
     full, dear = timed(lambda: fit(data, transport=exact))
     best, sd, gain = highest(full, lean)
