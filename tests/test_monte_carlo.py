@@ -310,46 +310,6 @@ def test_devices_do_not_matter():
 
 
 @pytest.mark.slow
-def test_frozen_walks_are_smooth_in_the_water():
-    """Reverse mode is forward mode, and both are the differences of one set of walks."""
-    p = A([0.065, 0.178, 0.8, 0.3])
-    transport = oi.MonteCarlo(32, 8).frozen(nadir(p))
-
-    @jax.jit
-    def value(p):
-        key = jax.random.key(0)
-        seen = oi.radiance(nadir(p), down(), transport, key=key).value[0]
-        down_there = oi.irradiance(nadir(p), A([1.0]), transport, key=key)
-        return jnp.stack([seen[0], down_there.Ed.value[0, 0], down_there.Eu.value[0, 0]])
-
-    forward, reverse = jax.jacfwd(value)(p), jax.jacrev(value)(p)
-    np.testing.assert_allclose(reverse, forward, rtol=1e-9, atol=1e-13)
-    for h in (1e-5, 1e-3):
-        differences = [(value(p + h * e) - value(p - h * e)) / (2 * h) for e in np.eye(4)]
-        np.testing.assert_allclose(forward.T, differences, rtol=2e-3 if h > 1e-4 else 1e-6)
-
-
-@pytest.mark.slow
-def test_frozen_walks_serve_other_waters():
-    """At b +-20 % and a +30 %: unbiased, worth most of their own walks; far away, a warning."""
-    p, rays, fluxes, known = A([0.065, 0.178, 0.8, 0.3]), down(), [], []
-    frozen = oi.MonteCarlo(2**13, 32).frozen(nadir(p))
-    for factor in ([1.0, 1.2, 1.0, 1.0], [1.0, 0.8, 1.0, 1.0], [1.3, 1.0, 1.0, 1.0]):
-        scene = nadir(p * A(factor))
-        found = oi.radiance(scene, rays, frozen, key=jax.random.key(4))
-        within(found, oi.radiance(scene, rays, oi.PlaneParallel(32)).value)
-        assert (frozen.reuse(scene, rays, jax.random.key(4)) > 0.5).all()
-        depths = A([0.0, 4.0, 10.0])
-        found = oi.irradiance(scene, depths, frozen, key=jax.random.key(5))
-        exact = oi.irradiance(scene, depths, oi.PlaneParallel(32))
-        fluxes += [found.Ed, found.Eu, found.E0]
-        known += [exact.Ed.value, exact.Eu.value, exact.E0.value]
-    within(jax.tree.map(lambda *parts: jnp.stack(parts), *fluxes), jnp.stack(known))
-    with pytest.warns(UserWarning, match="freeze the transport again"):
-        frozen.reuse(nadir(p * A([0.05, 0.05, 1.0, 1.0])), rays, jax.random.key(4))
-
-
-@pytest.mark.slow
 @pytest.mark.parametrize("dtype", [jnp.float64, jnp.float32])
 def test_extreme_irradiances_are_finite(dtype):
     """Ed, Eu, E0, their errors and derivatives, at the surface and at the floor."""

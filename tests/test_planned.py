@@ -68,7 +68,10 @@ def test_a_tolerance_that_nothing_keeps_ends_with_the_best_rung_and_says_so():
 @pytest.mark.slow
 def test_one_search_is_enough_where_the_cheapest_rung_is():
     fit = fit_photo(photo(clean()), tolerance=0.9)
-    assert fit.metadata["plan"]["tried"] == ["TwoStream()"]
+    plan = fit.metadata["plan"]
+    assert plan["tried"] == ["TwoStream()"]
+    assert plan["kept"]
+    assert plan["stood_still"]
     assert json.loads(fit.to_xarray().attrs["metadata"])["plan"]["tolerance"] == 0.9
 
 

@@ -121,13 +121,14 @@ def _turning(world: World) -> Array:
     return jnp.stack(found)
 
 
-def _worth(world: World, depths: Array, lanes: Lanes) -> Array:
+def _worth(world: World, depths: Array, turning: Array, lanes: Lanes) -> Array:
     """How much a walk may bring to the depths, each relative to the light that is there: it falls
     off like the light itself.  Walks gather where there is little light to count.  One that heads
-    upwards is worth more to upward light above it, the rarer that is, and less to what is below."""
+    upwards is worth more to upward light above it, the rarer that is (`turning`), and less to what
+    is below."""
     z = lanes.position[2]
     own, wanted = _fallen(world, z)[..., None], _fallen(world, depths)[None, None, :]
-    turning = _turning(world)[_paths.layer_of(world.domain, z)][..., None] ** _TILT
+    turning = turning[_paths.layer_of(world.domain, z)][..., None] ** _TILT
     up = (lanes.direction[2] < 0)[..., None]
     above = jnp.exp(2.0 * wanted - own) * jnp.where(up, 1.0 / turning, 1.0)
     below = jnp.exp(own) * jnp.where(up, turning, 1.0)
@@ -221,11 +222,13 @@ def _elastic(
             found = _at_depths(world, depths, before, new, None)
             return found + _aside(world, depths, before, after, vertex, unit, t)
 
-        order = Order(
-            lambda lanes: -jnp.expm1(-_fallen(world, lanes.position[2])),
-            (lambda lanes: _worth(world, depths, lanes)) if gathers else None,
-            (lambda lanes: _rate(world, lanes)) if gathers else None,
-        )
+        order = Order(lambda lanes: -jnp.expm1(-_fallen(world, lanes.position[2])), None, None)
+        if gathers:
+            turning = _turning(world)
+            order = order._replace(
+                worth=lambda lanes: _worth(world, depths, turning, lanes),
+                rate=lambda lanes: _rate(world, lanes),
+            )
         shape = (len(unit), depths.shape[0], 3, len(scene.wavelength))
         blank = jnp.zeros(shape, lanes.weight.dtype)
         return _walks.walk(world, lanes, unit, plan, score, blank, order)[0]
