@@ -6,16 +6,23 @@ from typing import Any
 
 import numpy as np
 
+from oceaninv._atomic_write import MARK
+
 Variables = Mapping[str, Any]
 
 
 def write(
-    path: Path, data: Variables, coords: Variables, attributes: Mapping[str, str], group: str = ""
+    path: Path,
+    data: Variables,
+    coords: Variables,
+    attributes: Mapping[str, str],
+    group: str = "",
+    mark: bool = False,
 ) -> None:
     """Add variables to a netCDF-4 file, made if need be; arguments as of `xarray.Dataset`.
 
     A variable is (dims, values) or (dims, values, attributes), dims a name or a tuple of names; an
-    array alone lies along the dimension of its own name.
+    array alone lies along the dimension of its own name.  `mark`: a file that oceaninv may replace.
     """
     import h5netcdf
 
@@ -41,6 +48,8 @@ def write(
             )
             made.attrs.update(notes)
         place.attrs.update(attributes)
+        if mark:
+            place.attrs["history"] = MARK
 
 
 def _described(name: str, variable) -> tuple[tuple[str, ...], np.ndarray, Mapping[str, Any]]:

@@ -20,7 +20,7 @@ from jax.core import Tracer
 from jax.experimental import serialize_executable
 
 import oceaninv
-from fitting.report import whole
+from oceaninv._atomic_write import atomic_write
 
 
 def _folder() -> str | None:
@@ -135,7 +135,7 @@ def _leaves(args) -> list | None:
 def _write(path: Path, content: bytes) -> None:
     with contextlib.suppress(OSError):  # a folder that cannot be written costs time, not the fit
         path.parent.mkdir(parents=True, exist_ok=True)
-        with whole(path) as temporary:
+        with atomic_write(path, overwrite=True) as temporary:
             temporary.write_bytes(content)
 
 

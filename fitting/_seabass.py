@@ -118,12 +118,12 @@ def _numbers(texts) -> np.ndarray:
         return values
 
 
-def write_seabass(path, fields, units, rows, header: dict[str, str], comments=()) -> None:
-    """Write columns `rows` (row, field) under /fields and /units; -9999 stands for missing."""
+def seabass_text(fields, units, rows, header: dict[str, str], comments=()) -> str:
+    """SeaBASS text of columns `rows` (row, field); -9999 stands for missing."""
     lines = ["/begin_header", *(f"/{key}={value}" for key, value in header.items())]
     lines += ["/missing=-9999", "/delimiter=comma"]
     lines += [f"! {comment}" for comment in comments]
     lines += [f"/fields={','.join(fields)}", f"/units={','.join(units)}", "/end_header"]
     for row in np.asarray(rows, dtype=np.float64):
         lines.append(",".join("-9999" if not np.isfinite(v) else f"{v:.8g}" for v in row))
-    Path(path).write_text("\n".join(lines) + "\n")
+    return "\n".join(lines) + "\n"

@@ -11,6 +11,7 @@ from fitting.casts import Reading, profile_of, raw_casts
 from fitting.observations import Profile
 from fitting.parameters import Parameter
 from fitting.profiles import ProfileFits, fit_profiles
+from oceaninv._atomic_write import atomic_write, check_replaceable
 from oceaninv.transport.base import AbstractTransport
 
 # Files that are read, fitted together and written before the next ones.
@@ -34,7 +35,10 @@ class Outcome:
 
 @dataclasses.dataclass(frozen=True)
 class Task:
-    """How to read and fit; `depth_range` to `priors` as for `fit_profiles`."""
+    """How to read and fit; `depth_range` to `priors` as for `fit_profiles`.
+
+    `overwrite`: replace files of the results' names that oceaninv did not write.
+    """
 
     folder: Path
     reading: Reading = dataclasses.field(default_factory=Reading)
@@ -42,6 +46,7 @@ class Task:
     layers: int | None = 1
     transport: AbstractTransport | None = None
     priors: dict[str, Parameter] | None = None
+    overwrite: bool = False
 
 
 def result_path(path: Path, folder: Path) -> Path:
@@ -88,18 +93,27 @@ def fit_group(paths: Sequence[Path], task: Task, x64: bool) -> list[Outcome]:
         fitted = len(profiles) - len(own.failures)
         target = result_path(path, task.folder) if fitted else None
         if target is not None:
-            _write(own, target)
+            _write(own, target, task.overwrite)
         outcomes.append(Outcome(path, target, fitted, tuple(problems)))
     return outcomes
 
 
-def _write(fits: ProfileFits, target: Path) -> None:
-    from fitting.report import whole
-
+def _write(fits: ProfileFits, target: Path, overwrite: bool) -> None:
     # Not by xarray: it takes nearly twice as long, and a lock of the cluster's for every file.
-    with whole(target) as temporary:
+    with atomic_write(target, overwrite=overwrite) as temporary:
         temporary.unlink()  # the writer adds to a netCDF file or starts from nothing
-        _netcdf.write(temporary, *fits.content())
+        _netcdf.write(temporary, *fits.content(), mark=True)
+
+
+def _check_results(files: list[Path], todo: list[Path], task: Task) -> None:
+    """ValueError where a result would replace a file of the archive or one of somebody else's."""
+    inputs = {path.resolve() for path in files}
+    for path in todo:
+        target = result_path(path, task.folder)
+        if target.exists():
+            if target.resolve() in inputs and not task.overwrite:
+                raise ValueError(f"the result of {path} would replace the input {target}.")
+            check_replaceable(target, overwrite=task.overwrite)
 
 
 def fit_archive(
@@ -126,6 +140,7 @@ def fit_archive(
             yield Outcome(path, result_path(path, task.folder), 0, (), resumed=True)
         else:
             todo.append(path)
+    _check_results(files, todo, task)
     groups = [todo[i : i + group] for i in range(0, len(todo), group)]
     x64 = bool(jax.config.values["jax_enable_x64"])
     if cluster is None:

@@ -13,6 +13,7 @@ from fitting._photo_model import WAVELENGTH
 from fitting.photographs import Photograph
 from fitting.targets import Target, target
 from fitting.verdicts import linearity
+from oceaninv._atomic_write import checksum_line, save_figure, with_checksum
 
 if TYPE_CHECKING:
     from fitting.readings import Chart
@@ -197,13 +198,17 @@ def _clipped(values: np.ndarray, spoiled: np.ndarray, chart: Target) -> np.ndarr
     return clipped
 
 
-def overlay(photograph: Photograph, readings: Sequence[ChartReading], path: str | Path) -> None:
+def overlay(
+    photograph: Photograph,
+    readings: Sequence[ChartReading],
+    path: str | Path,
+    *,
+    overwrite: bool = False,
+) -> None:
     """Draw where the patches were read, numbered from 1; crossed out where not kept (PNG)."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
     from matplotlib.patches import Polygon
-
-    from fitting.report import whole
 
     shown = display(photograph.values)
     figure = Figure(figsize=(6.0 * min(len(readings), 2), 4.6 * -(-len(readings) // 2)))
@@ -229,8 +234,7 @@ def overlay(photograph: Photograph, readings: Sequence[ChartReading], path: str 
         axes.set_title(reading.sentence(), fontsize=8)
         axes.tick_params(labelsize=7)
     figure.tight_layout()
-    with whole(path) as temporary:
-        figure.savefig(temporary, dpi=130)
+    save_figure(figure, path, dpi=130, overwrite=overwrite)
 
 
 def display(values: np.ndarray) -> np.ndarray:
@@ -264,6 +268,7 @@ def table_of(
     if lamp:
         facts.append("# light: lamp")
     lines = [
+        f"# {checksum_line()}",
         f"# title: Readings of charts and open water in {Path(photograph.source).name}",
         "# units: kind=text, chart=text, target=text, range=m, zenith=degree, *=1",
         *facts,
@@ -296,4 +301,4 @@ def table_of(
         scatter = seen.std(axis=0) / np.sqrt(len(seen))
         cells = numbers([*seen.mean(axis=0), *np.hypot(scatter, photograph.step)])
         lines.append(f"background,,,,,,{angle:g},{cells},{len(seen)},0")
-    return "\n".join(lines) + "\n"
+    return with_checksum("\n".join(lines) + "\n")

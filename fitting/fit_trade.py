@@ -2,6 +2,7 @@
 
 import csv
 import dataclasses
+import io
 import time
 from collections.abc import Mapping
 from pathlib import Path
@@ -12,7 +13,7 @@ import oceaninv as oi
 from fitting.observations import Profile
 from fitting.posterior import Fit
 from fitting.profile import fit_profile
-from fitting.report import whole
+from oceaninv._atomic_write import atomic_write, checksum_line, save_figure, with_checksum
 from oceaninv.fidelity.choice import rung
 
 TRANSPORTS = (oi.TwoStream(), oi.FourStream(), *(oi.PlaneParallel(n, 1) for n in (4, 8, 16)))
@@ -71,24 +72,27 @@ def _row(name: str, fit: Fit, seconds: float, best: Fit, dearest: float) -> FitR
     )
 
 
-def save_fits(path: Path, rows: list[FitRow]) -> None:
+def save_fits(path: Path, rows: list[FitRow], *, overwrite: bool = False) -> None:
     """The rows as csv."""
     names = list(rows[0].value)
-    with whole(path) as temporary, temporary.open("w", newline="") as file:
-        writer = csv.writer(file)
-        parts = ("", "_low", "_high", "_shift_sd")
-        heads = [f"{name}{part}" for name in names for part in parts]
-        writer.writerow(("model", "seconds", "share_of_dearest", *heads))
-        for row in rows:
-            cells = [
-                f"{kind[name]:.4g}"
-                for name in names
-                for kind in (row.value, row.low, row.high, row.shift)
-            ]
-            writer.writerow((row.model, f"{row.seconds:.3g}", f"{row.share:.3g}", *cells))
+    file = io.StringIO()
+    file.write(f"# {checksum_line()}\n")
+    writer = csv.writer(file, lineterminator="\n")
+    parts = ("", "_low", "_high", "_shift_sd")
+    heads = [f"{name}{part}" for name in names for part in parts]
+    writer.writerow(("model", "seconds", "share_of_dearest", *heads))
+    for row in rows:
+        cells = [
+            f"{kind[name]:.4g}"
+            for name in names
+            for kind in (row.value, row.low, row.high, row.shift)
+        ]
+        writer.writerow((row.model, f"{row.seconds:.3g}", f"{row.share:.3g}", *cells))
+    with atomic_write(path, overwrite=overwrite) as temporary:
+        temporary.write_text(with_checksum(file.getvalue()))
 
 
-def draw_fits(path: Path, rows: list[FitRow], title: str) -> None:
+def draw_fits(path: Path, rows: list[FitRow], title: str, *, overwrite: bool = False) -> None:
     """Estimates and intervals against the processor time of a fit."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -109,5 +113,4 @@ def draw_fits(path: Path, rows: list[FitRow], title: str) -> None:
         *panels[0].get_legend_handles_labels(), loc="outside lower center", fontsize=7, ncol=2
     )
     figure.suptitle(title, fontsize=9)
-    with whole(path) as temporary:
-        figure.savefig(temporary, dpi=130)
+    save_figure(figure, path, dpi=130, overwrite=overwrite)

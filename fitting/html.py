@@ -7,7 +7,8 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from fitting.posterior import Fit
-from fitting.report import LEVEL, picture, whole
+from fitting.report import LEVEL, picture
+from oceaninv._atomic_write import atomic_write, checksum_line, with_checksum
 
 _STYLE = (
     "body{font:15px/1.45 sans-serif;max-width:62em;margin:2em auto;padding:0 1em;color:#222}"
@@ -17,7 +18,13 @@ _STYLE = (
 )
 
 
-def write_html(fit: Fit, path: str | Path, pictures: Sequence[tuple[str, str | Path]] = ()) -> None:
+def write_html(
+    fit: Fit,
+    path: str | Path,
+    pictures: Sequence[tuple[str, str | Path]] = (),
+    *,
+    overwrite: bool = False,
+) -> None:
     """Write a fit as a self-contained page.
 
     `pictures`: (caption, PNG file), shown after the picture of the fit and stored inside the page.
@@ -49,7 +56,8 @@ def write_html(fit: Fit, path: str | Path, pictures: Sequence[tuple[str, str | P
             for title, file in [("Readings, attenuation, water", drawn), *pictures]
         )
     page = (
-        "<!doctype html><html lang='en'><meta charset='utf-8'><title>Water from photographs</title>"
+        f"<!doctype html><!-- {checksum_line()} --><html lang='en'><meta charset='utf-8'>"
+        "<title>Water from photographs</title>"
         f"<style>{_STYLE}</style><h1>Water from photographs</h1>"
         f"<p>Search: {html.escape(fit.result)}.</p><table><caption>{_caption(fit)}</caption><tr>"
         f"<th>quantity</th><th>unit</th><th>value</th><th>{LEVEL:.0%} interval</th></tr>{water}"
@@ -59,8 +67,8 @@ def write_html(fit: Fit, path: str | Path, pictures: Sequence[tuple[str, str | P
         "change if the assumption moved by one standard deviation</caption>"
         f"{leaning}</table>{_fixed(fit)}<h2>Data and model</h2><table>{facts}</table></html>\n"
     )
-    with whole(path) as temporary:
-        temporary.write_text(page, encoding="utf-8")
+    with atomic_write(path, overwrite=overwrite) as temporary:
+        temporary.write_text(with_checksum(page), encoding="utf-8")
 
 
 def _fixed(fit: Fit) -> str:

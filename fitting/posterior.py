@@ -200,11 +200,11 @@ class Fit:
 
         return dataset(self)
 
-    def report(self, path: str | Path) -> None:
+    def report(self, path: str | Path, *, overwrite: bool = False) -> None:
         """Write a picture of the fit (PNG) to `path`; see `fitting.report.picture`."""
         from fitting.report import picture
 
-        picture(self, path)
+        picture(self, path, overwrite=overwrite)
 
     def metadata_json(self) -> str:
         """Metadata as one line of JSON."""

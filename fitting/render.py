@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import oceaninv as oi
-from fitting.report import whole
+from oceaninv._atomic_write import MARK, atomic_write
 from oceaninv.fidelity import expected_error
 from oceaninv.transport.base import AbstractTransport
 from oceaninv.transport.front import check_ranges, check_rays
@@ -223,6 +223,7 @@ def save(
     linear: bool,
     spectral: bool,
     seed: int = 0,
+    overwrite: bool = False,
 ) -> None:
     """Write a picture whole or not at all, by the ending of its name.
 
@@ -247,7 +248,7 @@ def save(
         names = ["R", "G", "B"] if values.shape[-1] == 3 else list(found.camera.response.channels)
     else:
         raise ValueError(f"cannot write {path}: name a file that ends in .exr, .tif or .png.")
-    write_image(path, values, names, bits, note)
+    write_image(path, values, names, bits, note, overwrite=overwrite)
 
 
 def _exr(found: oi.SceneFile, picture: Picture, spectral: bool) -> tuple[np.ndarray, list[str]]:
@@ -271,17 +272,25 @@ def _exr(found: oi.SceneFile, picture: Picture, spectral: bool) -> tuple[np.ndar
     return np.concatenate(values, axis=-1), [*layers, "range"]
 
 
-def write_image(path: Path, values: np.ndarray, names: list[str], bits: str, note: str) -> None:
+def write_image(
+    path: Path,
+    values: np.ndarray,
+    names: list[str],
+    bits: str,
+    note: str,
+    *,
+    overwrite: bool = False,
+) -> None:
     import OpenImageIO as oiio
 
     height, width, count = values.shape
     spec = oiio.ImageSpec(width, height, count, bits)
     spec.channelnames = tuple(names)
     spec.attribute("ImageDescription", note)
-    spec.attribute("Software", "oceaninv")
+    spec.attribute("Software", MARK)
     if bits == "uint8":
         spec.attribute("oiio:ColorSpace", "sRGB")
-    with whole(path) as draft:
+    with atomic_write(path, overwrite=overwrite) as draft:
         out = oiio.ImageOutput.create(str(draft))
         if out is None or not out.open(str(draft), spec):
             reason = oiio.geterror() if out is None else out.geterror()

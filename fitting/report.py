@@ -1,9 +1,5 @@
 """Results as files: CF-style datasets and pictures, written whole or not at all."""
 
-import contextlib
-import os
-import tempfile
-from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -12,6 +8,7 @@ import numpy as np
 from fitting import _netcdf
 from fitting._bulk_picture import draw_coefficients
 from fitting.posterior import Fit, Quantity
+from oceaninv._atomic_write import atomic_write, save_figure
 
 if TYPE_CHECKING:
     import xarray
@@ -30,39 +27,6 @@ STANDARD_NAMES = {
     "chlorophyll": "mass_concentration_of_chlorophyll_a_in_sea_water",
 }
 LEVEL = 0.95
-
-
-@contextlib.contextmanager
-def whole(path: str | Path) -> Iterator[Path]:
-    """A temporary name beside `path` that becomes `path` only when the block ends well."""
-    path = Path(path)
-    name = _draft(path)
-    try:
-        yield Path(name)
-        os.chmod(name, 0o644)
-        os.replace(name, path)
-    finally:
-        Path(name).unlink(missing_ok=True)
-
-
-def check_writable(path: str | Path) -> None:
-    """ValueError, before the work, where `whole` could not write."""
-    Path(_draft(Path(path))).unlink()
-
-
-def _draft(path: Path) -> str:
-    """An empty file beside `path`; ValueError where there can be none."""
-    if not path.parent.is_dir():
-        raise ValueError(f"cannot write {path}: the folder {path.parent} does not exist.")
-    if path.is_dir():
-        raise ValueError(f"cannot write {path}: a folder has that name.")
-    prefix = f".{path.stem}-"
-    try:
-        handle, name = tempfile.mkstemp(suffix=path.suffix, prefix=prefix, dir=path.parent)
-    except OSError as error:
-        raise ValueError(f"cannot write {path}: {error.strerror}.") from None
-    os.close(handle)
-    return name
 
 
 def dataset(fit: Fit) -> "xarray.Dataset":
@@ -150,19 +114,26 @@ def _content(fit: Fit) -> tuple[dict, dict, dict]:
 
 
 def save(
-    path: str | Path, fit: Fit, constituents: Fit | None = None, smooth: "SmoothKd | None" = None
+    path: str | Path,
+    fit: Fit,
+    constituents: Fit | None = None,
+    smooth: "SmoothKd | None" = None,
+    *,
+    overwrite: bool = False,
 ) -> None:
     """Write a fit as netCDF; constituents and a smooth Kd(z) go into groups of these names."""
-    with whole(path) as temporary:
+    with atomic_write(path, overwrite=overwrite) as temporary:
         temporary.unlink()  # the writer starts from nothing or from a netCDF file, not an empty one
-        _netcdf.write(temporary, *_content(fit))
+        _netcdf.write(temporary, *_content(fit), mark=True)
         if constituents is not None:
             _netcdf.write(temporary, *_content(constituents), group="constituents")
         if smooth is not None:
             _netcdf.write(temporary, *smooth.content(), group="smooth")
 
 
-def picture(fit: Fit, path: str | Path, constituents: Fit | None = None) -> None:
+def picture(
+    fit: Fit, path: str | Path, constituents: Fit | None = None, *, overwrite: bool = False
+) -> None:
     """Draw a fit (PNG): observations against the model, spectra with 95 % bands, unknowns."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -193,8 +164,7 @@ def picture(fit: Fit, path: str | Path, constituents: Fit | None = None) -> None
     sources = str(fit.metadata.get("source", "")).split("; ")
     title = "; ".join(Path(one).name if Path(one).is_absolute() else one for one in sources)
     figure.suptitle(title, fontsize=9, color="0.35")
-    with whole(path) as temporary:
-        figure.savefig(temporary, dpi=130)
+    save_figure(figure, path, dpi=130, overwrite=overwrite)
 
 
 def _draw_profile(axes, fit: Fit) -> None:

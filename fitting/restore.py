@@ -1,6 +1,7 @@
 """A photograph without its water, by a fitted water and a range map."""
 
 import dataclasses
+import functools
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,7 @@ import oceaninv as oi
 from fitting._photo_model import light_up
 from fitting.photographs import Photograph
 from fitting.posterior import Fit
+from oceaninv._atomic_write import save_figure
 
 _RANGES = 48
 _TILTS = 7
@@ -48,28 +50,23 @@ class Restored:
             "charts read too little contrast, in blur and glare)"
         )
 
-    def save(self, stem: str | Path) -> list[Path]:
+    def save(self, stem: str | Path, *, overwrite: bool = False) -> list[Path]:
         """Write STEM_restored.exr, STEM_restored.png and STEM_residual.png; returns their paths."""
         from fitting.charts import display
         from fitting.render import write_image
 
-        stem = Path(stem)
-        paths = [
-            stem.with_name(stem.name + end)
-            for end in ("_restored.exr", "_restored.png", "_residual.png")
-        ]
-        write_image(paths[0], self.reflectance, ["R", "G", "B"], "float", "reflectance, linear")
+        paths = restored_paths(Path(stem))
+        write = functools.partial(write_image, overwrite=overwrite)
+        write(paths[0], self.reflectance, ["R", "G", "B"], "float", "reflectance, linear")
         # What has no range or is mostly noise would only dazzle.
         seen = np.where((self.noise < 50.0)[:, :, None], self.reflectance, 0.0)
-        write_image(paths[1], display(seen), ["R", "G", "B"], "uint8", "reflectance, gamma 2.2")
-        self._draw_residual(paths[2])
+        write(paths[1], display(seen), ["R", "G", "B"], "uint8", "reflectance, gamma 2.2")
+        self._draw_residual(paths[2], overwrite)
         return paths
 
-    def _draw_residual(self, path: Path) -> None:
+    def _draw_residual(self, path: Path, overwrite: bool) -> None:
         from matplotlib.backends.backend_agg import FigureCanvasAgg
         from matplotlib.figure import Figure
-
-        from fitting.report import whole
 
         figure = Figure(figsize=(8.0, 5.0), layout="tight")
         FigureCanvasAgg(figure)
@@ -80,8 +77,13 @@ class Restored:
         axes.set_title(
             "blue: veil too bright for the picture; red: brighter than white", fontsize=9
         )
-        with whole(path) as temporary:
-            figure.savefig(temporary, dpi=110)
+        save_figure(figure, path, dpi=110, overwrite=overwrite)
+
+
+def restored_paths(stem: Path) -> list[Path]:
+    """The files that `Restored.save` writes."""
+    ends = ("_restored.exr", "_restored.png", "_residual.png")
+    return [stem.with_name(stem.name + end) for end in ends]
 
 
 def restore(

@@ -4,9 +4,10 @@ from pathlib import Path
 
 import numpy as np
 
-from fitting._seabass import write_seabass
+from fitting._seabass import seabass_text
 from fitting.posterior import Fit
-from fitting.report import LEVEL, whole
+from fitting.report import LEVEL
+from oceaninv._atomic_write import atomic_write, checksum_line, with_checksum
 
 # As SeaBASS spells them.
 _UNITS = {
@@ -18,7 +19,9 @@ _UNITS = {
 }
 
 
-def write_spectra(path: str | Path, fit: Fit, constituents: Fit | None = None) -> None:
+def write_spectra(
+    path: str | Path, fit: Fit, constituents: Fit | None = None, *, overwrite: bool = False
+) -> None:
     """Every spectral quantity of a fit with its 95 % interval, a row per wavelength.
 
     The name's ending decides: .csv, with units in a comment line as `fitting.casts` reads them, or
@@ -39,17 +42,19 @@ def write_spectra(path: str | Path, fit: Fit, constituents: Fit | None = None) -
     table = np.stack(columns, axis=1)
     comments = [*_scalars(fit), *(_scalars(constituents) if constituents is not None else [])]
     comments += [f"Kd: {fit.metadata['kd_definition']}", f"source: {fit.metadata['source']}"]
-    with whole(path) as temporary:
-        if path.suffix == ".sb":
-            unknown = ("investigators", "affiliations", "contact", "experiment", "cruise")
-            header = dict.fromkeys(unknown, "NA") | {"data_type": "cast", "data_status": "final"}
-            write_seabass(temporary, fields, units, table, header, comments)
-            return
+    comments.insert(0, checksum_line())
+    if path.suffix == ".sb":
+        unknown = ("investigators", "affiliations", "contact", "experiment", "cruise")
+        header = dict.fromkeys(unknown, "NA") | {"data_type": "cast", "data_status": "final"}
+        text = seabass_text(fields, units, table, header, comments)
+    else:
         pairs = ", ".join(f"{f}={u}" for f, u in zip(fields, units, strict=True))
         lines = [f"# units: {pairs}", *(f"# {text}" for text in comments), ",".join(fields)]
         for row in table:
             lines.append(",".join(f"{v:.8g}" if np.isfinite(v) else "" for v in row))
-        temporary.write_text("\n".join(lines) + "\n")
+        text = "\n".join(lines) + "\n"
+    with atomic_write(path, overwrite=overwrite) as temporary:
+        temporary.write_text(with_checksum(text))
 
 
 def _scalars(fit: Fit) -> list[str]:

@@ -2,6 +2,7 @@
 
 import csv
 import dataclasses
+import io
 import re
 import time
 from pathlib import Path
@@ -13,7 +14,7 @@ import numpy as np
 
 import oceaninv as oi
 from fitting._ladder import Model, ladder, references
-from fitting.report import whole
+from oceaninv._atomic_write import atomic_write, checksum_line, save_figure, with_checksum
 from oceaninv.iops import IOPs
 
 RAYS, DEPTHS = 48, 10
@@ -180,18 +181,20 @@ def how_to_choose(trades: list[Trade], tolerances=(0.3, 0.1, 0.03, 0.01)) -> str
     return "\n".join(lines) + "\n"
 
 
-def save_rows(path: Path, trade: Trade) -> None:
+def save_rows(path: Path, trade: Trade, *, overwrite: bool = False) -> None:
     """The rows as csv."""
-    with whole(path) as temporary, temporary.open("w", newline="") as file:
-        file.write(
-            f"# {trade.title}: {trade.quantity}; error of the reference {trade.reference} itself: "
-            f"{trade.doubt:.2g}\n"
-        )
-        writer = csv.writer(file)
-        writer.writerow(("model", "seconds", "compile_seconds", "error", "best"))
-        for row in trade.rows:
-            numbers = (f"{v:.3g}" for v in (row.seconds, row.compile_seconds, row.error))
-            writer.writerow((row.model, *numbers, int(row.best)))
+    file = io.StringIO()
+    file.write(
+        f"# {trade.title}: {trade.quantity}; error of the reference {trade.reference} itself: "
+        f"{trade.doubt:.2g}\n# {checksum_line()}\n"
+    )
+    writer = csv.writer(file, lineterminator="\n")
+    writer.writerow(("model", "seconds", "compile_seconds", "error", "best"))
+    for row in trade.rows:
+        numbers = (f"{v:.3g}" for v in (row.seconds, row.compile_seconds, row.error))
+        writer.writerow((row.model, *numbers, int(row.best)))
+    with atomic_write(path, overwrite=overwrite) as temporary:
+        temporary.write_text(with_checksum(file.getvalue()))
 
 
 def load_rows(path: Path) -> Trade:
@@ -206,7 +209,7 @@ def load_rows(path: Path) -> Trade:
             float(row["error"]),
             row["best"] == "1",
         )
-        for row in csv.DictReader(lines)
+        for row in csv.DictReader(line for line in lines if not line.startswith("#"))
     )
     return Trade(title, quantity, reference, float(doubt), rows)
 
@@ -214,7 +217,7 @@ def load_rows(path: Path) -> Trade:
 _HEAD = re.compile(r"# (.*): (\w+); error of the reference (.*) itself: (.*)")
 
 
-def draw_rows(path: Path, trade: Trade) -> None:
+def draw_rows(path: Path, trade: Trade, *, overwrite: bool = False) -> None:
     """Error against time, log-log; models that another beats in both are grey."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -241,5 +244,4 @@ def draw_rows(path: Path, trade: Trade) -> None:
     axes.set(xscale="log", yscale="log", xlabel="processor seconds per run", ylabel="error")
     title = f"{trade.title}: {trade.quantity}"
     axes.set_title(f"{title} (grey band: the reference's own error)", fontsize=10)
-    with whole(path) as temporary:
-        figure.savefig(temporary, dpi=130)
+    save_figure(figure, path, dpi=130, overwrite=overwrite)

@@ -13,10 +13,16 @@ _MISSING = object()
 
 
 class Section:
-    """One table of a toml file.  `finish` refuses keys that nobody asked for."""
+    """One table of a toml file.  `finish` refuses keys that nobody asked for.
 
-    def __init__(self, path: Path, name: str, table: dict[str, Any]):
+    `files`: what the whole file has named so far, itself first; tables within share the list.
+    """
+
+    def __init__(
+        self, path: Path, name: str, table: dict[str, Any], files: list[Path] | None = None
+    ):
         self.path, self.name, self._table = path, name, table
+        self.files = [path] if files is None else files
         self._asked: list[str] = []
 
     def error(self, key: str, came: Any, wanted: str) -> ValueError:
@@ -99,6 +105,7 @@ class Section:
         path = self.path.parent / self.text(key)
         if not path.is_file():
             raise self.error(key, self.text(key), f"a file; {path} does not exist")
+        self.files.append(path)
         return path
 
     def section(self, key: str) -> "Section":
@@ -106,7 +113,7 @@ class Section:
         value = self.take(key, "a table", {})
         if not isinstance(value, dict):
             raise self.error(key, value, f"a table, as [{key}]")
-        return Section(self.path, f"{self.name}.{key}" if self.name else key, value)
+        return Section(self.path, f"{self.name}.{key}" if self.name else key, value, self.files)
 
     def sections(self, key: str) -> "list[Section]":
         """The tables of an array [[key]]."""
@@ -114,7 +121,9 @@ class Section:
         if not isinstance(value, list) or not all(isinstance(item, dict) for item in value):
             raise self.error(key, value, f"an array of tables, each as [[{key}]]")
         name = f"{self.name}.{key}" if self.name else key
-        return [Section(self.path, f"{name}[{i}]", item) for i, item in enumerate(value)]
+        return [
+            Section(self.path, f"{name}[{i}]", item, self.files) for i, item in enumerate(value)
+        ]
 
     def finish(self) -> None:
         """ValueError for a key that means nothing, with the near one."""

@@ -28,7 +28,7 @@ class SceneFile:
     `scene`, `camera`, `sensor`: as their classes say.  `kd`: (wl,) the measured Kd of a water that
     was given by one, for `KdTransport(kd)`; `None` otherwise.  `title`: text.  `fine_light`: the
     table of D65 where all light is that, `ranges`: a range map, each for `photograph` by that name,
-    or `None`.
+    or `None`.  `files`: the scene file and every file it names.
     """
 
     scene: Scene
@@ -38,6 +38,7 @@ class SceneFile:
     title: str
     fine_light: tuple[np.ndarray, np.ndarray] | None = None
     ranges: RangeMap | None = None
+    files: tuple[Path, ...] = ()
 
 
 def load_scene(path: str | Path, *, bands: int | None = None) -> SceneFile:
@@ -102,7 +103,7 @@ def load_scene(path: str | Path, *, bands: int | None = None) -> SceneFile:
     with _naming(path):
         scene = Scene(water, light, surface, floor, objects, lamps)
     fine_light = spectrum.daylight_table() if day and not lamps else None
-    return SceneFile(scene, camera, sensor, kd, title, fine_light, ranges)
+    return SceneFile(scene, camera, sensor, kd, title, fine_light, ranges, tuple(file.files))
 
 
 @contextlib.contextmanager

@@ -7,7 +7,7 @@ import pytest
 import xarray as xr
 
 from fitting import fit_profile
-from fitting._seabass import read_seabass, write_seabass
+from fitting._seabass import read_seabass, seabass_text
 from fitting._units import irradiance_factor, irradiance_units_in
 from fitting.casts import Reading, read_cast, read_casts
 from fitting.observations import Profile
@@ -59,7 +59,8 @@ def seabass(folder, missing=(), units="m,uW/cm^2/nm,uW/cm^2/nm,degrees"):
     rows[list(missing), 1] = np.nan
     path = folder / "cast.sb"
     header = {"station": "A1", "north_latitude": "40.5[DEG]", "south_latitude": "40.5[DEG]"}
-    write_seabass(path, ["depth", "Ed412", "Ed490", "tilt"], units.split(","), rows, header)
+    fields = ["depth", "Ed412", "Ed490", "tilt"]
+    path.write_text(seabass_text(fields, units.split(","), rows, header))
     return path
 
 

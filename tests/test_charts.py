@@ -128,7 +128,7 @@ def test_the_command_writes_what_the_fit_reads(tmp_path, capsys):
     water = ["--background", "2,125 170,138 95"]
     assert cli.run([*arguments, *chart, *water]) == 0
     assert "near at 2.50 m: ColorChecker24: 24 of 24 patches kept" in capsys.readouterr().out
-    assert (tmp_path / "out.png").stat().st_size > 10_000
+    assert (tmp_path / "out_patches.png").stat().st_size > 10_000
     read, clipped = read_photo(tmp_path / "out.csv", 5.0)
     assert clipped == 0
     np.testing.assert_allclose(read.charts[0].values, values, rtol=3e-3)

@@ -111,21 +111,6 @@ def test_an_unwritable_output_leaves_nothing_behind(tmp_path, capsys):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_failed_write_keeps_the_old_file_and_no_temporary(tmp_path):
-    target = tmp_path / "result.nc"
-    target.write_text("old")
-
-    def fail():
-        with report.whole(target) as temporary:
-            temporary.write_text("half")
-            raise OSError("disk full")
-
-    with pytest.raises(OSError, match="disk full"):
-        fail()
-    assert target.read_text() == "old"
-    assert [p.name for p in tmp_path.iterdir()] == ["result.nc"]
-
-
 def test_a_dataset_survives_a_round_trip(tmp_path):
     depth = np.linspace(0.5, 20.0, 40)
     fit = fit_profile(

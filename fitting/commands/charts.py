@@ -5,6 +5,8 @@ from typing import Annotated
 
 import typer
 
+from fitting.commands.common import Overwrite, check_outputs, with_endings
+
 
 def read_charts_command(
     path: Annotated[Path, typer.Argument(help="Photograph: raw, EXR, 16-bit PNG or TIFF.")],
@@ -17,7 +19,8 @@ def read_charts_command(
         ),
     ],
     output: Annotated[
-        Path, typer.Option("--output", "-o", help="Stem of the files: STEM.csv and STEM.png.")
+        Path,
+        typer.Option("--output", "-o", help="Stem of the files: STEM.csv and STEM_patches.png."),
     ],
     background: Annotated[
         list[str] | None,
@@ -39,6 +42,7 @@ def read_charts_command(
     camera: Annotated[
         str | None, typer.Option(help="Camera by name, or generic; unless given, the file's.")
     ] = None,
+    overwrite: Overwrite = False,
 ) -> None:
     """Read the patches of charts in a photograph: a csv for fit-photo, a picture of where."""
     import numpy as np
@@ -46,6 +50,11 @@ def read_charts_command(
     from fitting.charts import overlay, read_chart, table_of
     from fitting.photographs import read_photograph, read_range
 
+    data, image = with_endings(output, ".csv", "_patches.png")
+    asked = [_chart(text) for text in chart]
+    named = [Path(kind) for _, kind, *_ in asked if kind.lower().endswith(".csv")]
+    inputs = [path, *([] if range_map is None else [range_map]), *named]
+    check_outputs([data, image], inputs, overwrite)
     photograph = read_photograph(path, encoding)
     ranges = None
     if range_map is not None:
@@ -57,8 +66,7 @@ def read_charts_command(
             "each."
         )
     readings, rows, places = [], [], None
-    for text in chart:
-        name, kind, distance, corners = _chart(text)
+    for text, (name, kind, distance, corners) in zip(chart, asked, strict=True):
         if corners is None:
             from fitting.detection import find_charts
 
@@ -79,11 +87,10 @@ def read_charts_command(
     content = table_of(
         photograph, rows, windows, tilts if len(tilts) > 1 else tilts[0], camera, lamp
     )
-    from fitting.report import whole
+    from oceaninv._atomic_write import atomic_write
 
-    data, image = (output.with_name(output.name + end) for end in (".csv", ".png"))
-    overlay(photograph, readings, image)
-    with whole(data) as temporary:
+    overlay(photograph, readings, image, overwrite=overwrite)
+    with atomic_write(data, overwrite=overwrite) as temporary:
         temporary.write_text(content, encoding="utf-8")
     left = int(np.sum([(~r.kept).sum() for r in readings]))
     print(f"left out: {left} patches.  wrote {data} and {image}")

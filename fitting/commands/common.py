@@ -1,5 +1,6 @@
 """What the commands share: options, tables and the writing of results."""
 
+from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -17,7 +18,16 @@ def _stem(path: Path | None) -> Path | None:
 Output = Annotated[
     Path | None,
     typer.Option(
-        "--output", "-o", callback=_stem, help="Stem of the files to write: STEM.nc and STEM.png."
+        "--output",
+        "-o",
+        callback=_stem,
+        help="Stem of the files to write, STEM.nc and STEM.png; by default INPUT_fit.",
+    ),
+]
+Overwrite = Annotated[
+    bool,
+    typer.Option(
+        "--overwrite", help="Replace files of the results' names that oceaninv did not write."
     ),
 ]
 SolarZenith = Annotated[
@@ -86,12 +96,29 @@ def _leaning(fit: "Fit", name: str) -> str:
     return ", ".join(f"{key} {100 * shift:+.0f} %" for key, shift in shifts)
 
 
-def finish(stem: Path, write_data, write_picture) -> None:
-    """Write STEM.nc and STEM.png."""
-    data, image = stem.with_name(stem.name + ".nc"), stem.with_name(stem.name + ".png")
-    write_data(data)
-    write_picture(image)
-    print(f"wrote {data} and {image}")
+def with_endings(stem: Path, *endings: str) -> list[Path]:
+    """STEM with each ending."""
+    return [stem.with_name(stem.name + ending) for ending in endings]
+
+
+def check_outputs(outputs: Iterable[Path], inputs: Iterable[Path], overwrite: bool) -> None:
+    """ValueError, before the work, where a result could not or must not be written.
+
+    A result must not replace what the command reads, whatever links or letters its name is spelt
+    with, nor a file that oceaninv did not write, unless `overwrite`.
+    """
+    from oceaninv._atomic_write import check_writable
+
+    inputs = list(inputs)
+    for output in outputs:
+        if output.exists() and not overwrite:
+            same = next((path for path in inputs if path.exists() and path.samefile(output)), None)
+            if same is not None:
+                raise ValueError(
+                    f"the result {output} would replace the input {same}: name another output "
+                    "with -o, or use --overwrite."
+                )
+        check_writable(output, overwrite=overwrite)
 
 
 def preload() -> None:

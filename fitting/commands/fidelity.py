@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from fitting.commands.common import status
+from fitting.commands.common import Overwrite, check_outputs, status, with_endings
 
 SceneFile = Annotated[Path, typer.Argument(help="Scene file (toml).")]
 Quantity = Annotated[str, typer.Option(help="irradiance, radiance or photograph.")]
@@ -51,6 +51,7 @@ def trade_command(
     fit: Annotated[
         bool, typer.Option("--fit", help="Run the fit of a profile through every transport.")
     ] = False,
+    overwrite: Overwrite = False,
 ) -> None:
     """Run every model of a scene: error against time as STEM.csv and STEM.png.
 
@@ -61,27 +62,34 @@ def trade_command(
     if fit:
         if len(paths) != 1:
             raise ValueError(f"--fit takes one file; {len(paths)} were given.")
-        _trade_of_fit(paths[0], output, repeats)
+        _trade_of_fit(paths[0], output, repeats, overwrite)
         return
     if len(paths) == 1:
         stem = Path(f"{paths[0].stem}_trade") if output is None else output
-        _trade_of_scene(paths[0], stem, quantity, repeats, inelastic)
+        _trade_of_scene(paths[0], stem, quantity, repeats, inelastic, overwrite)
         return
-    from fitting.report import whole
     from fitting.trade import how_to_choose, load_rows
+    from oceaninv._atomic_write import atomic_write, checksum_line, with_checksum
 
     folder = output or Path("trade")
-    for path in paths:
-        name = f"{path.stem}_inelastic" if inelastic else path.stem
-        _trade_of_scene(path, folder / f"{name}_{quantity}", quantity, repeats, inelastic)
+    folder.mkdir(parents=True, exist_ok=True)
+    ending = "_inelastic" if inelastic else ""
+    stems = [folder / f"{path.stem}{ending}_{quantity}" for path in paths]
     table = folder / f"choose_{quantity}.md"
-    with whole(table) as temporary:
-        found = sorted(folder.glob(f"*_{quantity}.csv"))
-        temporary.write_text(how_to_choose([load_rows(path) for path in found]))
+    outputs = [file for stem in stems for file in with_endings(stem, ".csv", ".png")]
+    check_outputs([*outputs, table], paths, overwrite)
+    for path, stem in zip(paths, stems, strict=True):
+        _trade_of_scene(path, stem, quantity, repeats, inelastic, overwrite)
+    found = sorted(folder.glob(f"*_{quantity}.csv"))
+    text = f"<!-- {checksum_line()} -->\n" + how_to_choose([load_rows(path) for path in found])
+    with atomic_write(table, overwrite=overwrite) as temporary:
+        temporary.write_text(with_checksum(text))
     print(f"wrote {table}")
 
 
-def _trade_of_scene(path: Path, stem: Path, quantity: str, repeats: int, inelastic: bool) -> None:
+def _trade_of_scene(
+    path: Path, stem: Path, quantity: str, repeats: int, inelastic: bool, overwrite: bool
+) -> None:
     import dataclasses
 
     import oceaninv as oi
@@ -89,6 +97,9 @@ def _trade_of_scene(path: Path, stem: Path, quantity: str, repeats: int, inelast
 
     file = oi.load_scene(path)
     scene, title = file.scene, file.title
+    stem.parent.mkdir(parents=True, exist_ok=True)
+    data, image = with_endings(stem, ".csv", ".png")
+    check_outputs([data, image], file.files, overwrite)
     if inelastic:
         glow = oi.Inelastic(oi.Raman(), oi.ChlorophyllFluorescence())
         scene, title = dataclasses.replace(scene, inelastic=glow), f"{title}, inelastic"
@@ -97,10 +108,8 @@ def _trade_of_scene(path: Path, stem: Path, quantity: str, repeats: int, inelast
     _print_trade(trade)
     if scene.objects or scene.lamps:
         print("left out: objects and lamps")
-    stem.parent.mkdir(parents=True, exist_ok=True)
-    data, image = stem.with_name(stem.name + ".csv"), stem.with_name(stem.name + ".png")
-    save_rows(data, trade)
-    draw_rows(image, trade)
+    save_rows(data, trade, overwrite=overwrite)
+    draw_rows(image, trade, overwrite=overwrite)
     print(f"wrote {data} and {image}")
 
 
@@ -122,13 +131,15 @@ def _print_trade(trade) -> None:
     print(f"the reference's own error: {100 * trade.doubt:.2g} %")
 
 
-def _trade_of_fit(path: Path, output: Path | None, repeats: int) -> None:
+def _trade_of_fit(path: Path, output: Path | None, repeats: int, overwrite: bool) -> None:
     from rich.console import Console
     from rich.table import Table
 
     from fitting.casts import read_cast
     from fitting.fit_trade import draw_fits, measure_fits, save_fits
 
+    data, image = with_endings(output or Path(f"{path.stem}_trade"), ".csv", ".png")
+    check_outputs([data, image], [path], overwrite)
     profile = read_cast(path)
     with status("fitting through every transport"):
         rows = measure_fits(profile, repeats)
@@ -140,8 +151,6 @@ def _trade_of_fit(path: Path, output: Path | None, repeats: int) -> None:
         cells = [f"{row.value[n]:.3g} ({row.low[n]:.2g} - {row.high[n]:.2g})" for n in names]
         table.add_row(row.model, f"{row.seconds:.2g}", *cells, f"{max(row.shift.values()):.2f}")
     Console().print(table)
-    stem = output or Path(f"{path.stem}_trade")
-    data, image = stem.with_name(stem.name + ".csv"), stem.with_name(stem.name + ".png")
-    save_fits(data, rows)
-    draw_fits(image, rows, path.name)
+    save_fits(data, rows, overwrite=overwrite)
+    draw_fits(image, rows, path.name, overwrite=overwrite)
     print(f"wrote {data} and {image}")

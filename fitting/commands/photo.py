@@ -7,12 +7,14 @@ import typer
 
 from fitting.commands.common import (
     Output,
+    Overwrite,
     SolarZenith,
     Tolerance,
-    finish,
+    check_outputs,
     preload,
     print_water,
     status,
+    with_endings,
 )
 
 
@@ -65,6 +67,7 @@ def fit_photo_command(
     sample: Annotated[
         bool, typer.Option(help="Draw from the posterior (NUTS; minutes, needs blackjax).")
     ] = False,
+    overwrite: Overwrite = False,
 ) -> None:
     """Fit the water's constituents to readings of charts and open water in photographs."""
     from fitting import fit_photo
@@ -72,6 +75,7 @@ def fit_photo_command(
     from fitting.photographs import pixels_of
     from fitting.readers import read_photo
     from fitting.report import picture, save
+    from fitting.restore import restored_paths
 
     depths = [_depth(text) for text in depth]
     if len(depths) not in (1, len(paths)):
@@ -84,6 +88,13 @@ def fit_photo_command(
     known = dict(_known(text) for text in know or ())
     if robust is not None and not robust > 0:
         raise ValueError(f"--robust is {robust:g}; a positive number wanted.")
+    stem = output or Path(f"{paths[0].stem}_fit")
+    data, image, page = with_endings(stem, ".nc", ".png", ".html")
+    outputs = [data, image, *([page] if report else [])]
+    inputs = list(paths)
+    if picture_of is not None and range_map is not None:
+        outputs += restored_paths(stem)
+        inputs += [picture_of, range_map]
     shown = _shown(picture_of, range_map, encoding)
     scenery = None
     if pixels:
@@ -97,6 +108,7 @@ def fit_photo_command(
         )
         for path, place in zip(paths, depths * (len(paths) // len(depths)), strict=True)
     ]  # fmt: skip
+    check_outputs(outputs, inputs, overwrite)
     photos, clipped = [photo for photo, _ in read], sum(count for _, count in read)
     masked = sum(photo.masked for photo in photos)
     preload()
@@ -111,14 +123,14 @@ def fit_photo_command(
     if factor > 1.0:
         print(f"readings scatter {factor:.1f} x as much as their noise says: intervals widened")
     print_water(fit)
-    stem = output or Path(paths[0].stem)
-    finish(stem, lambda p: save(p, fit), lambda p: picture(fit, p))
-    pictures = [] if shown is None else _without_water(fit, photos[0], shown, stem)
+    save(data, fit, overwrite=overwrite)
+    picture(fit, image, overwrite=overwrite)
+    print(f"wrote {data} and {image}")
+    pictures = [] if shown is None else _without_water(fit, photos[0], shown, stem, overwrite)
     if report:
         from fitting.html import write_html
 
-        page = stem.with_name(stem.name + ".html")
-        write_html(fit, page, pictures)
+        write_html(fit, page, pictures, overwrite=overwrite)
         print(f"wrote {page}")
 
 
@@ -134,14 +146,14 @@ def _shown(picture_of: Path | None, range_map: Path | None, encoding: str | None
     return photograph, read_range(range_map, photograph.values.shape[:2])
 
 
-def _without_water(fit, photo, shown, stem: Path) -> list[tuple[str, Path]]:
+def _without_water(fit, photo, shown, stem: Path, overwrite: bool) -> list[tuple[str, Path]]:
     """Write the restored picture and its residual; (caption, file) of what a page can show."""
     from fitting.restore import restore
 
     photograph, ranges = shown
     views = [float(chart.zenith) for chart in photo.charts]
     restored = restore(fit, photograph, ranges, zenith=sum(views) / len(views) if views else 90.0)
-    exr, png, residual = restored.save(stem)
+    exr, png, residual = restored.save(stem, overwrite=overwrite)
     if said := restored.sentence():
         print(said)
     print(f"wrote {exr}, {png} and {residual}")

@@ -8,12 +8,14 @@ import typer
 
 from fitting.commands.common import (
     Output,
+    Overwrite,
     SolarZenith,
     Tolerance,
-    finish,
+    check_outputs,
     preload,
     print_water,
     status,
+    with_endings,
 )
 
 if TYPE_CHECKING:
@@ -95,6 +97,7 @@ def fit_profile_command(
         bool,
         typer.Option(help="Draw constituents from the posterior (NUTS; minutes, needs blackjax)."),
     ] = False,
+    overwrite: Overwrite = False,
 ) -> None:
     """Fit Kd of every band and the constituents of the water to depth profiles of Ed.
 
@@ -130,9 +133,11 @@ def fit_profile_command(
                 from fitting.stations import merged
 
                 profile = merged(profiles)
-            stem = output or Path(paths[0].stem)
+            files = with_endings(output or Path(f"{paths[0].stem}_fit"), ".nc", ".png")
+            files += [] if table is None else [table]
+            check_outputs(files, paths, overwrite)
             work = None if kd_only else model
-            _fit_one(profile, stem, depth_range, count, work, priors, table, smooth, sample)
+            _fit_one(profile, files, depth_range, count, work, priors, smooth, sample, overwrite)
             return
     if table is not None:
         raise ValueError("--table is for one cast; archives are written as netCDF.")
@@ -145,11 +150,12 @@ def fit_profile_command(
     water = _transport(transport) if kd_only is False else None
     if priors and water is None:
         raise ValueError("--know applies to constituents: add --constituents.")
-    task = Task(output or Path("kd"), reading, depth_range, count, water, priors or None)
+    task = Task(output or Path("kd"), reading, depth_range, count, water, priors or None, overwrite)
     _fit_many(paths, task, cluster)
 
 
-def _fit_one(profile, stem, depth_range, layers, model, priors, table, smooth, sample) -> None:
+def _fit_one(profile, files, depth_range, layers, model, priors, smooth, sample, overwrite) -> None:
+    """`files`: the netCDF file, the picture and, if wanted, the table to write."""
     from fitting import fit_profile
     from fitting import sample as draw
     from fitting.report import picture, save
@@ -178,15 +184,14 @@ def _fit_one(profile, stem, depth_range, layers, model, priors, table, smooth, s
     if found is not None:
         layers = len(found.interfaces) + 1
         print(f"smooth Kd(z): e^{found.evidence:+.1f} times as likely as {layers} layer(s)")
-    if table is not None:
+    data, image, *table = files
+    for path in table:
         from fitting.spectra_file import write_spectra
 
-        write_spectra(table, fit, constituents)
-    finish(
-        stem,
-        lambda p: save(p, fit, constituents, found),
-        lambda p: picture(fit, p, constituents),
-    )
+        write_spectra(path, fit, constituents, overwrite=overwrite)
+    save(data, fit, constituents, found, overwrite=overwrite)
+    picture(fit, image, constituents, overwrite=overwrite)
+    print(f"wrote {' and '.join(map(str, files))}")
 
 
 def _fit_many(paths: list[Path], task: "Task", cluster: str | None) -> None:

@@ -5,6 +5,8 @@ from typing import Annotated, Any
 
 import typer
 
+from fitting.commands.common import Overwrite, check_outputs
+
 _TRANSPORTS = ("two-stream", "four-stream", "kd", "plane-parallel", "monte-carlo")
 
 
@@ -36,6 +38,7 @@ def render_command(
     seconds: Annotated[
         float, typer.Option(help="For which --animate lets the waves of the surface travel.")
     ] = 0.0,
+    overwrite: Overwrite = False,
 ) -> None:
     """Draw a scene."""
     import dataclasses
@@ -44,7 +47,6 @@ def render_command(
     from rich.progress import Progress
 
     from fitting import render
-    from fitting.report import check_writable
     from oceaninv import load_scene
 
     if output.suffix.lower() not in (".exr", ".tif", ".tiff", ".png"):
@@ -63,8 +65,7 @@ def render_command(
     frames = [(output, found)]
     if animate is not None:
         frames = _frames(found, output, animate, rise, seconds)
-    for target, _ in frames:
-        check_writable(target)
+    check_outputs([target for target, _ in frames], found.files, overwrite)
     with Progress(console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task(found.title, total=len(frames))
         for i, (target, frame) in enumerate(frames):
@@ -77,7 +78,14 @@ def render_command(
             )
             note = render.metadata(path, frame, model, seed + i, picture)
             render.save(
-                target, frame, picture, note, linear=linear, spectral=spectral, seed=seed + i
+                target,
+                frame,
+                picture,
+                note,
+                linear=linear,
+                spectral=spectral,
+                seed=seed + i,
+                overwrite=overwrite,
             )
     names = str(output) if animate is None else f"{frames[0][0]} ... {frames[-1][0].name}"
     print(f"wrote {names}: {found.camera.width} x {found.camera.height}, {transport}")
