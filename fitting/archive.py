@@ -89,7 +89,7 @@ def fit_group(paths: Sequence[Path], task: Task, x64: bool) -> list[Outcome]:
     for path, (profiles, problems) in zip(paths, read, strict=True):
         own = fits.part(range(at, at + len(profiles)))
         at += len(profiles)
-        problems += own.failures.values()
+        problems += [*own.failures.values(), *own.water_failures.values()]
         fitted = len(profiles) - len(own.failures)
         target = result_path(path, task.folder) if fitted else None
         if target is not None:

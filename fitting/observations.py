@@ -1,5 +1,6 @@
 """What was measured, checked once on the way in."""
 
+import copy
 import dataclasses
 from collections.abc import Mapping
 from typing import Any
@@ -173,6 +174,17 @@ class Profile:
     def masked(self) -> int:
         """How many values were missing, zero, negative or above the surface."""
         return int((~self.mask).sum())
+
+    def of_bands(self, bands: Bool[np.ndarray, " wl"]) -> "Profile":
+        """The same cast with some of its bands alone."""
+        made = copy.copy(self)
+        for name in ("wavelength", "floor", "dark", "dark_sd", "Es"):
+            value = getattr(self, name)
+            object.__setattr__(made, name, None if value is None else value[bands])
+        for name in ("Ed", "sigma", "mask", "Eu", "Lu", "reference"):
+            value = getattr(self, name)
+            object.__setattr__(made, name, None if value is None else value[:, bands])
+        return made
 
     def upward(self, kind: str, depth_range=(0.0, np.inf)) -> "tuple[Profile, np.ndarray] | None":
         """A profile with "Eu" or "Lu" in the place of Ed, and which bands (wl,) it holds.

@@ -267,6 +267,22 @@ def water_unknowns(solar_zenith: float | None) -> tuple[Parameter, ...]:
     )
 
 
+def modelled_bands(wavelength: np.ndarray) -> np.ndarray:
+    """(wl,) whether the tables of `water_iops` cover a wavelength (nm), named extension included.
+
+    Phytoplankton absorption has the narrowest table: 380-780 nm (Sathyendranath, Lazzara & Prieur
+    1987), within that of pure water (IOCCG 2018, 300-800 nm).
+    """
+    low, high = phytoplankton_range()
+    return (wavelength >= low) & (wavelength <= high)
+
+
+def phytoplankton_range() -> tuple[float, float]:
+    """Shortest and longest wavelength (nm) at which absorption by phytoplankton is tabulated."""
+    table = load("Gutierrez2008").wavelength
+    return float(table[0]), float(table[-1])
+
+
 def water_iops(values: Mapping[str, Float[Array, ""]], wavelength: np.ndarray):
     """IOPs of the default model with whichever nuisances `values` names.
 

@@ -13,6 +13,7 @@ from fitting._lanes import Job, fit_lanes, light_of, padded
 from fitting._par import light_of_bands, light_of_sensor, light_quantities
 from fitting._planned import EXACT, Demand, corrected, fit_within, scene_at
 from fitting._upward import Cast, cast_of, cast_quantities, lit, upward_notes
+from fitting.apparent import unmodelled_notes
 from fitting.layered import (
     check_layers,
     interfaces_of,
@@ -21,7 +22,7 @@ from fitting.layered import (
     roundings,
 )
 from fitting.observations import Profile
-from fitting.parameters import Log, Parameter, Parameters, water_unknowns
+from fitting.parameters import Log, Parameter, Parameters, modelled_bands, water_unknowns
 from fitting.posterior import Fit, Predictive, Quantity
 from fitting.quantities import UNITS, quantities_of
 from fitting.solve import sentence
@@ -73,7 +74,8 @@ def fit_profile(
     stands in `metadata["kd_definition"]`).  Without a transport also Ed(0-); where the profile
     holds them, of Eu Ku, Eu(0-) and R, of Lu KLu, Lu(0-), Rrs and nLw; with PAR or bands that span
     it the depths Z_10 and Z_eu of 10 and 1 % of it.  With a transport also Kd(490), c(550),
-    bb(550) and a_cdm(440) of the water.
+    bb(550) and a_cdm(440) of the water, from the bands of 380-780 nm, in which all absorption is
+    tabulated; other bands are left out and named in `metadata["bands_not_modelled_nm"]`.
     """
     if layers != 1:
         if tolerance is not None:
@@ -91,12 +93,17 @@ def fit_profile(
 
         options = {"depth_range": depth_range, "transport": transport, "priors": priors}
         return fit_profiles([profile], **options).water(0)
+    outside = {}
+    if transport is not None or tolerance is not None:
+        bands = modelled_bands(profile.wavelength)
+        outside = unmodelled_notes(profile.wavelength, bands)
+        profile = profile if bands.all() else profile.of_bands(bands)
     cast = cast_of(profile, depth_range, layers)
     if tolerance is not None:
         (bands,) = fit_lanes([cast.job])
 
         def solve(model, start, ratio=None):
-            metadata = _metadata(cast, bands) | {"transport": type(model).__name__}
+            metadata = _metadata(cast, bands) | {"transport": type(model).__name__} | outside
             return _constituent_fit(cast, bands, model, priors, metadata, start, ratio)
 
         def scene(fit):
@@ -107,7 +114,7 @@ def fit_profile(
     if transport is None:
         return kd_fit(cast, {kind: fit_lanes([job])[0] for kind, job in cast.jobs.items()})
     (bands,) = fit_lanes([cast.job])
-    metadata = _metadata(cast, bands) | {"transport": type(transport).__name__}
+    metadata = _metadata(cast, bands) | {"transport": type(transport).__name__} | outside
     return _constituent_fit(cast, bands, transport, priors, metadata)
 
 

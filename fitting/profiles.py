@@ -26,10 +26,11 @@ class ProfileFits:
     """Fits of many casts.  `fits[i]` is the `Fit` of cast i, made when it is asked for.
 
     `failures`: sentences by index, of casts that could not be used; asking for their `Fit` raises
-    that sentence.
+    that sentence.  `water_failures`: the same of casts whose Kd was found, but no constituents.
     """
 
     failures: Mapping[int, str]
+    water_failures: Mapping[int, str]
 
     def __init__(
         self,
@@ -38,10 +39,11 @@ class ProfileFits:
         fits: Mapping[int, Mapping[str, BandFit]],
         failures: Mapping[int, str],
         waters: Mapping[int, WaterFit] | None = None,
+        water_failures: Mapping[int, str] | None = None,
     ):
         self._waters = waters or {}
         self._sources, self._casts, self._fits = list(sources), casts, fits
-        self.failures = failures
+        self.failures, self.water_failures = failures, water_failures or {}
 
     def __len__(self) -> int:
         return len(self._sources)
@@ -70,6 +72,7 @@ class ProfileFits:
             chosen(self._fits),
             chosen(self.failures),
             chosen(self._waters),
+            chosen(self.water_failures),
         )
 
     def water(self, index: int) -> Fit:
@@ -77,6 +80,8 @@ class ProfileFits:
         i = range(len(self))[index]
         if i in self.failures:
             raise ValueError(self.failures[i])
+        if i in self.water_failures:
+            raise ValueError(self.water_failures[i])
         if i not in self._waters:
             raise ValueError("no constituents were fitted: give fit_profiles a transport.")
         return water_fit(self._casts[i], self._fits[i]["Ed"], self._waters[i])
@@ -108,14 +113,19 @@ class ProfileFits:
             "flag_values": np.array([-1, *RESULTS], dtype=np.int8),
             "flag_meanings": "absent converged step_limit not_finite",
         }
-        failures = np.array([self.failures.get(i, "") for i in range(len(self))], dtype=str)
+        every = {**self.water_failures, **self.failures}
+        failures = np.array([every.get(i, "") for i in range(len(self))], dtype=str)
         spectral = {"units": "nm", "standard_name": "radiation_wavelength"}
         return (
             {
                 **table.variables(),
                 "search": (("cast", "wavelength"), code, notes),
                 "source": ("cast", np.array(self._sources, dtype=str), {"long_name": "source"}),
-                "failure": ("cast", failures, {"long_name": "why the cast could not be used"}),
+                "failure": (
+                    "cast",
+                    failures,
+                    {"long_name": "why Kd or constituents are missing"},
+                ),
             },
             {"wavelength": ("wavelength", wavelength, spectral)},
             {
@@ -206,8 +216,8 @@ def fit_profiles(
     fits: dict[int, dict[str, BandFit]] = {i: {} for i in casts}
     for (i, kind), fit in zip(keys, fitted, strict=True):
         fits[i][kind] = fit
-    waters = {} if transport is None else fit_waters(casts, fits, transport, priors)
-    return ProfileFits([p.source for p in profiles], casts, fits, failures, waters)
+    waters, dry = ({}, {}) if transport is None else fit_waters(casts, fits, transport, priors)
+    return ProfileFits([p.source for p in profiles], casts, fits, failures, waters, dry)
 
 
 def stream_profiles(

@@ -149,14 +149,16 @@ class Phytoplankton(AbstractConstituent):
         if self.extension not in (None, "Sathyendranath1987"):
             raise tables.unknown("extension", self.extension, ["Sathyendranath1987"])
         table = tables.load("Bricaud1998")
-        inside = wavelength
+        inside, place = wavelength, np.arange(len(wavelength))
         if self.extension is not None:
-            inside = np.clip(wavelength, table.wavelength[0], table.wavelength[-1])
-        scale, exponent = table.at(inside, "A_phi"), table.at(inside, "E_phi")
+            ends = table.wavelength[0], table.wavelength[-1]
+            # Several bands may lie beyond the same end; a table is read once at each wavelength.
+            inside, place = np.unique(np.clip(wavelength, *ends), return_inverse=True)
+        scale, exponent = table.at(inside, "A_phi")[place], table.at(inside, "E_phi")[place]
         if self.extension is not None:
             shape = tables.load("Gutierrez2008")
             beyond = shape.at(wavelength, "a_phytoplankton")
-            scale = scale * beyond / shape.at(inside, "a_phytoplankton")
+            scale = scale * beyond / shape.at(inside, "a_phytoplankton")[place]
         dtype = amount.dtype
         power = safe_power(jnp.broadcast_to(amount, wavelength.shape), jnp.asarray(exponent, dtype))
         return jnp.multiply(self.absorption_scale, jnp.asarray(scale, dtype) * power)

@@ -154,6 +154,10 @@ def test_ranges():
     with pytest.raises(ValueError, match="covers 400-700 nm"):
         oi.BioOpticalModel().iops(amounts, [390.0])
     longer = oi.BioOpticalModel((oi.Phytoplankton(extension="Sathyendranath1987"),))
+    # Several bands beyond either end are each what they are alone.
+    bands = np.array([380.0, 395.0, 400.0, 550.0, 700.0, 705.0, 750.0, 780.0])
+    alone = [float(longer.iops(amounts, [band]).a[0]) for band in bands]
+    np.testing.assert_allclose(longer.iops(amounts, bands).a, alone, rtol=1e-14)
     inside, outside = (longer.iops(amounts, [x]).a_components[1, 0] for x in (400.0, 385.0))
     assert 0.5 * inside < outside < inside
     edge = oi.BioOpticalModel().iops(amounts, [400.0]).a_components[1, 0]

@@ -28,6 +28,53 @@ def test_fit_profile_writes_a_cf_dataset_and_a_picture(tmp_path, capsys):
         assert bool(np.all(data.Kd_low < data.Kd) & np.all(data.Kd < data.Kd_high))
 
 
+def uv_cast(folder, bands):
+    """A cast of light that falls with exponents that the model of the water can hold."""
+    depth = np.linspace(0.5, 20.0, 60)
+    rows = np.exp(-np.array([[0.08 + 0.0004 * abs(nm - 480) for nm in bands]]) * depth[:, None])
+    lines = ["# units: depth=m, Ed_*=W m-2 nm-1", ",".join(["depth", *(f"Ed_{b}" for b in bands)])]
+    lines += [",".join(f"{v:.8g}" for v in (z, *row)) for z, row in zip(depth, rows, strict=True)]
+    path = folder / "cast.csv"
+    path.write_text("\n".join(lines) + "\n")
+    return path
+
+
+def test_kd_of_bands_beyond_all_tables_is_not_lost(tmp_path, capsys):
+    """No table of phytoplankton reaches these bands: Kd is written all the same, with code 3."""
+    path = uv_cast(tmp_path, (305, 325))
+    assert cli.run(["fit-profile", str(path), "-o", str(tmp_path / "out")]) == 3
+    printed = capsys.readouterr()
+    assert "constituents need a band of 380-780 nm" in printed.err
+    assert "wrote" in printed.out
+    with xr.open_dataset(tmp_path / "out.nc") as data:
+        np.testing.assert_allclose(data.Kd, [0.15, 0.142], rtol=1e-4)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("bands", "left_out"),
+    [
+        ((340, 412, 490, 555), "340 nm"),
+        ((412, 490, 555, 790), "790 nm"),
+        ((305, 340, 380, 395, 412, 443, 490, 555, 665, 705, 750, 800), "305, 340, 800 nm"),
+        ((380, 395, 412, 490, 555), None),
+    ],
+)
+def test_bands_beyond_tables_count_where_a_table_holds_them(bands, left_out, tmp_path, capsys):
+    path = uv_cast(tmp_path, bands)
+    assert cli.run(["fit-profile", str(path), "-o", str(tmp_path / "out")]) == 0
+    printed = capsys.readouterr().out
+    if left_out is None:
+        assert "fitted without" not in printed
+    else:
+        assert f"constituents were fitted without {left_out}" in printed
+    with xr.open_dataset(tmp_path / "out.nc") as data:
+        assert data.wavelength.values.tolist() == list(bands)
+        assert np.all(np.isfinite(data.Kd))
+    with xr.open_dataset(tmp_path / "out.nc", group="constituents") as data:
+        assert data.wavelength.values.tolist() == [nm for nm in bands if 380 <= nm <= 780]
+
+
 @pytest.mark.slow
 def test_fit_profile_adds_constituents_as_a_group(tmp_path, capsys):
     assert cli.run(["fit-profile", CAST, "-o", str(tmp_path / "cast")]) == 0

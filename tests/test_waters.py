@@ -150,6 +150,38 @@ def test_a_water_is_the_same_alone_and_in_a_batch():
     np.testing.assert_allclose(found, np.broadcast_to(water.x, (20, count)), atol=1e-9)
 
 
+def test_bands_beyond_the_tables_leave_the_others_as_they_are():
+    """305 and 790 nm change nothing about the constituents and are named; their Kd is there."""
+    inside = cast(up=True)
+    wide = np.array([305.0, *BANDS, 790.0])
+
+    def with_ends(table):
+        return np.column_stack([table[:, 0], table, table[:, -1]])
+
+    outside = Profile(
+        inside.depth,
+        wide,
+        with_ends(inside.Ed),
+        sigma=with_ends(inside.sigma),
+        solar_zenith=35.0,
+        Eu=with_ends(inside.Eu),
+    )
+    fits = fit_profiles([inside, outside], transport=oi.TwoStream())
+    plain, other = fits.water(0), fits.water(1)
+    assert other.metadata["bands_not_modelled_nm"] == [305.0, 790.0]
+    assert "bands_not_modelled_nm" not in plain.metadata
+    np.testing.assert_allclose(other.x, plain.x, atol=1e-6)
+    np.testing.assert_array_equal(other.wavelength, BANDS)
+    assert fits[1].quantities["Kd"].value.shape == (6,)
+    # A cast without any such band keeps its Kd, and does not keep others from their water.
+    alone = fit_profiles([outside.of_bands(wide < 400), inside], transport=oi.TwoStream())
+    with pytest.raises(ValueError, match=r"305 nm\.  Kd alone can be fitted"):
+        alone.water(0)
+    np.testing.assert_allclose(alone[0].quantities["Kd"].value, fits[1].quantities["Kd"].value[0])
+    np.testing.assert_allclose(alone.water(1).x, plain.x, atol=1e-6)
+    assert "Kd alone" in alone.content()[0]["failure"][1][0]
+
+
 @pytest.mark.slow
 def test_reflectance_fixes_backscatter():
     plain = fit_profiles([cast()], transport=oi.TwoStream()).water(0)

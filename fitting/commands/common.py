@@ -53,6 +53,8 @@ def print_water(fit: "Fit") -> None:
     from rich.console import Console
     from rich.table import Table
 
+    from fitting.parameters import phytoplankton_range
+
     table = Table(title=f"Water by {fit.metadata['transport']}", title_justify="left")
     for name in ("quantity", "unit", "value", "95 % interval"):
         table.add_column(name, justify="left" if name in ("quantity", "unit") else "right")
@@ -79,6 +81,13 @@ def print_water(fit: "Fit") -> None:
         print(f"chosen: {plan['transport']}, predicted error {error}, asked {asked}")
     if fit.bias is not None:
         print("values of constituents are corrected for the curvature of the model (Box 1971)")
+    if "bands_not_modelled_nm" in fit.metadata:
+        low, high = phytoplankton_range()
+        named = ", ".join(f"{band:g}" for band in fit.metadata["bands_not_modelled_nm"])
+        print(
+            f"constituents were fitted without {named} nm: absorption by phytoplankton is "
+            f"tabulated from {low:g} to {high:g} nm"
+        )
     if "nearest_jerlov_type" in fit.metadata:
         away = 100 * fit.metadata["nearest_jerlov_rms_ln_kd"]
         print(f"nearest Jerlov type: {fit.metadata['nearest_jerlov_type']} ({away:.0f} % off)")

@@ -1,6 +1,8 @@
 """`oceaninv fit-profile`."""
 
+import contextlib
 import itertools
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -165,18 +167,20 @@ def _fit_one(profile, files, depth_range, layers, model, priors, smooth, sample,
     preload()
     with status("fitting Kd"):
         fit = fit_profile(profile, depth_range=depth_range, layers=layers)
-    constituents = None
+    constituents, found, failures = None, None, []
     if model is not None:
-        with status("fitting constituents (the first run compiles)"):
+        with (
+            status("fitting constituents (the first run compiles)"),
+            _noting(failures, "constituents"),
+        ):
             constituents = fit_profile(profile, depth_range=depth_range, priors=priors, **model)
-    found = None
     if smooth:
         from fitting import smooth_kd
 
-        with status("fitting a smooth Kd(z)"):
+        with status("fitting a smooth Kd(z)"), _noting(failures, "a smooth Kd(z)"):
             found = smooth_kd(profile, depth_range)
     if constituents is not None and sample:
-        with status("sampling the posterior (minutes)"):
+        with status("sampling the posterior (minutes)"), _noting(failures, "the posterior"):
             constituents = draw(constituents)
     _print_kd(fit)
     if constituents is not None:
@@ -192,6 +196,17 @@ def _fit_one(profile, files, depth_range, layers, model, priors, smooth, sample,
     save(data, fit, constituents, found, overwrite=overwrite)
     picture(fit, image, constituents, overwrite=overwrite)
     print(f"wrote {' and '.join(map(str, files))}")
+    if failures:
+        raise ValueError("; ".join(failures))
+
+
+@contextlib.contextmanager
+def _noting(failures: list[str], what: str) -> Iterator[None]:
+    """Keep the sentence of a step that fails, so that what was fitted before is still written."""
+    try:
+        yield
+    except ValueError as error:
+        failures.append(f"{what} could not be found: {error}")
 
 
 def _fit_many(paths: list[Path], task: "Task", cluster: str | None) -> None:
