@@ -42,7 +42,7 @@ def fit_waters(
     transport: AbstractTransport,
     priors: dict[str, Parameter] | None = None,
 ) -> tuple[dict[int, WaterFit], dict[int, str]]:
-    """Constituents of casts by index, those of one shape together; sentences where there are none."""
+    """Constituents of casts by index, those of one shape together; a sentence where none."""
     failures: dict[int, str] = {}
     groups: dict[tuple, list[int]] = {}
     spectra, unknowns = {}, {}
