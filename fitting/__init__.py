@@ -1,54 +1,27 @@
 """Fits of underwater light to water constituents: the inverse side of oceaninv."""
 
-from fitting.apparent import fit_apparent
-from fitting.assumptions import assumptions
-from fitting.bulk import fit_bulk
-from fitting.contents import AbstractContents, Milk, NaturalWater, Populations
-from fitting.observations import Bulk, Profile
-from fitting.parameters import Identity, Log, Logit, Parameter
-from fitting.photo import design, fit_photo, fit_photos
-from fitting.photographs import Photograph, read_photograph, read_range
-from fitting.posterior import Fit, Quantity
-from fitting.profile import fit_profile
-from fitting.profiles import ProfileFits, fit_profiles, stream_profiles
-from fitting.readings import Background, Chart, Photo, Pixels
-from fitting.regions import joint_region
-from fitting.sampling import NUTS, sample
-from fitting.smooth import SmoothKd, smooth_kd
+# fmt: off
+# isort: off
+from fitting.bulk.fit_bulk import fit_bulk
+from fitting.bulk.media import AbstractContents, Milk, NaturalWater, Populations
+from fitting.core import former_names  # noqa: F401
+from fitting.core.likelihood_regions import joint_region
+from fitting.core.parameters import Identity, Log, Logit, Parameter
+from fitting.core.result import Fit, Quantity
+from fitting.core.sampling import NUTS, sample
+from fitting.images.photograph_file import Photograph, read_photograph, read_range
+from fitting.observations.array_checks import Bulk, Profile
+from fitting.observations.photo import Background, Chart, Photo, Pixels
+from fitting.photo.assumptions import assumptions
+from fitting.photo.fit_photo import design, fit_photo, fit_photos
+from fitting.profile.constituents.from_kd_and_r import fit_apparent
+from fitting.profile.fit_profile import fit_profile
+from fitting.profile.fit_profiles import ProfileFits, fit_profiles, stream_profiles
+from fitting.profile.kd.smooth_kd import SmoothKd, smooth_kd
 
 __all__ = [
-    "NUTS",
-    "AbstractContents",
-    "Background",
-    "Bulk",
-    "Chart",
-    "Fit",
-    "Identity",
-    "Log",
-    "Logit",
-    "Milk",
-    "NaturalWater",
-    "Parameter",
-    "Photo",
-    "Photograph",
-    "Pixels",
-    "Populations",
-    "Profile",
-    "ProfileFits",
-    "Quantity",
-    "SmoothKd",
-    "assumptions",
-    "design",
-    "fit_apparent",
-    "fit_bulk",
-    "fit_photo",
-    "fit_photos",
-    "fit_profile",
-    "fit_profiles",
-    "joint_region",
-    "read_photograph",
-    "read_range",
-    "sample",
-    "smooth_kd",
-    "stream_profiles",
-]
+    "NUTS", "AbstractContents", "Background", "Bulk", "Chart", "Fit", "Identity", "Log",
+    "Logit", "Milk", "NaturalWater", "Parameter", "Photo", "Photograph", "Pixels",
+    "Populations", "Profile", "ProfileFits", "Quantity", "SmoothKd", "assumptions", "design",
+    "fit_apparent", "fit_bulk", "fit_photo", "fit_photos", "fit_profile", "fit_profiles",
+    "joint_region", "read_photograph", "read_range", "sample", "smooth_kd", "stream_profiles"]

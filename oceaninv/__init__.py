@@ -1,112 +1,36 @@
-"""Differentiable inverse rendering under water.
+"""Differentiable inverse rendering under water: constituents -> inherent optical properties ->
+light field -> what a sensor saw, every step a pure, jit-able, differentiable JAX function."""
 
-Constituents -> inherent optical properties -> light field -> what a sensor saw: every arrow is a
-pure, jit-able, differentiable JAX function.
-"""
-
-from oceaninv import (
-    attenuation,
-    inelastic,
-    media,
-    mie,
-    mitsuba,
-    objects,
-    particles,
-    phase,
-    spectrum,
-    tables,
-    water,
-    waves,
-)
-from oceaninv.bio_optics import (
-    CDOM,
-    BioOpticalModel,
-    Constituents,
-    Detritus,
-    Minerals,
-    Phytoplankton,
-    gutierrez2008,
-    jerlov,
-)
-from oceaninv.camera import Camera, Sensor
+# fmt: off
+# isort: off
+from oceaninv import mie, transport, water
 from oceaninv.fidelity import Plan, plan
-from oceaninv.inelastic import CDOMFluorescence, ChlorophyllFluorescence, Inelastic, Raman
-from oceaninv.iops import IOPs, Layers
-from oceaninv.light import CardioidalSky, Light, PointLamp, SpotLamp, TabulatedSky
-from oceaninv.objects import Box, HeightField, Sphere
-from oceaninv.optics import Rays
-from oceaninv.range_map import RangeMap
-from oceaninv.scene import FlatSurface, Floor, Scene
-from oceaninv.scene_file import SceneFile, load_scene
-from oceaninv.transport import apparent
-from oceaninv.transport.base import Estimate, Irradiance
-from oceaninv.transport.energy import EnergyBudget, energy_budget
-from oceaninv.transport.four_stream import FourStream
-from oceaninv.transport.front import irradiance, photograph, radiance
-from oceaninv.transport.kd import KdTransport
-from oceaninv.transport.monte_carlo import MonteCarlo
-from oceaninv.transport.plane_parallel import PlaneParallel
-from oceaninv.transport.shadows import Shadows
-from oceaninv.transport.two_stream import TwoStream
+from oceaninv.foundation import interface_optics as optics
+from oceaninv.foundation import spectrum, tables
+from oceaninv.foundation import former_names  # noqa: F401
+from oceaninv.foundation.interface_optics import Rays
+from oceaninv.mie import media, particles
+from oceaninv.scene import (
+    Box, Camera, CardioidalSky, FlatSurface, Floor, HeightField, Light, PointLamp, RangeMap, Scene,
+    SceneFile, Sensor, Sphere, SpotLamp, TabulatedSky, camera, light, load_scene, objects,
+    range_map, scene_file, waves)
+from oceaninv.transport import (
+    EnergyBudget, Estimate, FourStream, Irradiance, KdTransport, MonteCarlo, PlaneParallel,
+    Shadows, TwoStream, apparent, energy_budget, irradiance, photograph, radiance)
+from oceaninv.water import (
+    CDOM, BioOpticalModel, CDOMFluorescence, ChlorophyllFluorescence, Constituents, Detritus,
+    Inelastic, IOPs, Layers, Minerals, Phytoplankton, Raman, attenuation, bio_optics,
+    gutierrez2008, inelastic, iops, jerlov, phase)
+from oceaninv.water import mitsuba_export as mitsuba
 
 __all__ = [
-    "CDOM",
-    "BioOpticalModel",
-    "Box",
-    "CDOMFluorescence",
-    "Camera",
-    "CardioidalSky",
-    "ChlorophyllFluorescence",
-    "Constituents",
-    "Detritus",
-    "EnergyBudget",
-    "Estimate",
-    "FlatSurface",
-    "Floor",
-    "FourStream",
-    "HeightField",
-    "IOPs",
-    "Inelastic",
-    "Irradiance",
-    "KdTransport",
-    "Layers",
-    "Light",
-    "Minerals",
-    "MonteCarlo",
-    "Phytoplankton",
-    "Plan",
-    "PlaneParallel",
-    "PointLamp",
-    "Raman",
-    "RangeMap",
-    "Rays",
-    "Scene",
-    "SceneFile",
-    "Sensor",
-    "Shadows",
-    "Sphere",
-    "SpotLamp",
-    "TabulatedSky",
-    "TwoStream",
-    "apparent",
-    "attenuation",
-    "energy_budget",
-    "gutierrez2008",
-    "inelastic",
-    "irradiance",
-    "jerlov",
-    "load_scene",
-    "media",
-    "mie",
-    "mitsuba",
-    "objects",
-    "particles",
-    "phase",
-    "photograph",
-    "plan",
-    "radiance",
-    "spectrum",
-    "tables",
-    "water",
-    "waves",
-]
+    "CDOM", "BioOpticalModel", "Box", "CDOMFluorescence", "Camera", "CardioidalSky",
+    "ChlorophyllFluorescence", "Constituents", "Detritus", "EnergyBudget", "Estimate",
+    "FlatSurface", "Floor", "FourStream", "HeightField", "IOPs", "Inelastic", "Irradiance",
+    "KdTransport", "Layers", "Light", "Minerals", "MonteCarlo", "Phytoplankton", "Plan",
+    "PlaneParallel", "PointLamp", "Raman", "RangeMap", "Rays", "Scene", "SceneFile", "Sensor",
+    "Shadows", "Sphere", "SpotLamp", "TabulatedSky", "TwoStream", "apparent", "attenuation",
+    "bio_optics", "camera", "energy_budget", "gutierrez2008", "inelastic", "iops", "irradiance",
+    "jerlov", "light", "load_scene", "media", "mie", "mitsuba", "objects", "optics",
+    "particles", "phase", "photograph", "plan", "radiance", "range_map", "scene_file",
+    "spectrum", "tables", "transport", "water", "waves"]

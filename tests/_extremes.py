@@ -13,7 +13,8 @@ import jax.numpy as jnp
 import numpy as np
 
 import oceaninv as oi
-from oceaninv import attenuation, optics, phase
+from oceaninv.foundation import interface_optics
+from oceaninv.water import attenuation, phase
 
 # Coefficients (1/m) and lengths (m): from a vacuum to a wall.  Below 1e-12 /m, a millionth of a
 # millionth of the clearest water, squares leave the range of single precision: 0 or more than that.
@@ -192,17 +193,20 @@ def table() -> tuple[Case, ...]:
             lambda p: phase.FournierForand(index=p[0], slope=p[1])(p[2]),
             ((1.001, 1.05, 1.15, 1.3), (3.001, 3.5, 4.0, 4.999), COSINE),
         ),
-        "refraction": (lambda p: optics.refracted_cosine(p[0], p[1]), (POSITIVE[3:7], INDEX)),
+        "refraction": (
+            lambda p: interface_optics.refracted_cosine(p[0], p[1]),
+            (POSITIVE[3:7], INDEX),
+        ),
         "Fresnel from air": (
-            lambda p: optics.fresnel_from_air(p[0], p[1]),
+            lambda p: interface_optics.fresnel_from_air(p[0], p[1]),
             ((1e-6, 0.1, 0.5, 1.0), INDEX[1:]),
         ),
         "Fresnel from water": (
-            lambda p: optics.fresnel_from_water(p[0], p[1]),
+            lambda p: interface_optics.fresnel_from_water(p[0], p[1]),
             ((0.0, 1e-6, 0.3, 0.6656, 0.67, 1.0), INDEX[1:]),
         ),
         "diffuse reflectance": (
-            lambda p: jnp.stack(optics.diffuse_reflectance(p[0])),
+            lambda p: jnp.stack(interface_optics.diffuse_reflectance(p[0])),
             (INDEX[1:],),
         ),
         "Kd, Gordon": (

@@ -8,7 +8,10 @@ import jax.numpy as jnp
 import numpy as np
 
 import oceaninv as oi
-from oceaninv import media, mie, objects, optics, phase
+from oceaninv.foundation import interface_optics
+from oceaninv.mie import media, sphere
+from oceaninv.scene import objects
+from oceaninv.water import phase
 from tests._extremes import (
     ASYMMETRY,
     COEFFICIENT,
@@ -47,11 +50,11 @@ def _turned(across, down):
 
 
 def _efficiencies(p):
-    return jnp.stack(mie.efficiencies(p[0], jax.lax.complex(p[1], p[2]), max_size=61.0))
+    return jnp.stack(sphere.efficiencies(p[0], jax.lax.complex(p[1], p[2]), max_size=61.0))
 
 
 def _sections(p):
-    found = mie.cross_sections(
+    found = sphere.cross_sections(
         p[0], 550.0 + 0.0 * p[0], jax.lax.complex(p[1], p[2]), p[3], max_size=80.0
     )
     return jnp.stack(found)
@@ -59,7 +62,7 @@ def _sections(p):
 
 def _mie_phase(p):
     index = jax.lax.complex(p[2], p[3])
-    return mie.phase_function(p[0], p[1], 550.0 + 0.0 * p[1], index, 1.34 + 0.0 * p[1], 80.0)
+    return sphere.phase_function(p[0], p[1], 550.0 + 0.0 * p[1], index, 1.34 + 0.0 * p[1], 80.0)
 
 
 def _bulk(medium, *wavelength):
@@ -225,7 +228,7 @@ def more() -> tuple[Case, ...]:
                                        SHARE), EITHER, 1e-6, True),
         Case("lamp", _lamp, (COEFFICIENT, angle, LOOK)),
         Case("sky, tabulated and overcast", _overcast, (COEFFICIENT,) * 3 + (COSINE,), 1e-4, 1e-2),
-        Case("half sine of the scattering angle", lambda p: optics.scattering_half_sine(
+        Case("half sine of the scattering angle", lambda p: interface_optics.scattering_half_sine(
             _turned(p[0], p[1])[None], p[2]), (angle, LOOK, (1e-3, 0.6656, 1.0)), 1e-4, 1e-2),
         Case("inelastic sources", _emitted, (COEFFICIENT, COEFFICIENT, SHARE, SHARE, COEFFICIENT)),
         Case("mixture", _mixture, (SHARE, COSINE)),

@@ -4,8 +4,8 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
-from oceaninv.bio_optics import AbstractConstituent
-from oceaninv.phase import AbstractPhase, HenyeyGreenstein
+from oceaninv.water.bio_optics import AbstractConstituent
+from oceaninv.water.phase import AbstractPhase, HenyeyGreenstein
 
 
 class Bubbles(AbstractConstituent):

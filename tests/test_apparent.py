@@ -11,7 +11,7 @@ import pytest
 
 import oceaninv as oi
 from oceaninv import apparent
-from oceaninv.phase import HenyeyGreenstein, Isotropic
+from oceaninv.water.phase import HenyeyGreenstein, Isotropic
 
 REFERENCE = Path(__file__).parents[1].parent / "shared" / "reference" / "radiative_transfer.json"
 needs_reference = pytest.mark.skipif(not REFERENCE.exists(), reason="no reference fields here")

@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from fitting import Profile, cli, fit_profile, fit_profiles, report
-from fitting.archive import Task, fit_archive
-from fitting.casts import Reading
+from fitting import Profile, fit_profile, fit_profiles
+from fitting.commands import main as cli
+from fitting.files.cast_file import Reading
+from fitting.profile.archive import Task, fit_archive
+from fitting.report.picture import picture as report
 
 BANDS = np.array([412.0, 490.0, 555.0])
 

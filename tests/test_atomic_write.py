@@ -8,9 +8,11 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from fitting import Profile, cli, fit_profile, report
-from fitting.spectra_file import write_spectra
-from oceaninv._atomic_write import atomic_write, checksum_line, is_own, with_checksum
+from fitting import Profile, fit_profile
+from fitting.commands import main as cli
+from fitting.report.picture import picture as report
+from fitting.report.spectra_table import write_spectra
+from oceaninv.foundation.atomic_write import atomic_write, checksum_line, is_own, with_checksum
 from tests.test_photographs import IMAGE, write
 from tests.test_readers import PHOTO
 

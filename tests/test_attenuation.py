@@ -9,8 +9,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from oceaninv import attenuation
-from oceaninv.phase import FournierForand, HenyeyGreenstein
+from oceaninv.water import attenuation
+from oceaninv.water.phase import FournierForand, HenyeyGreenstein
 from tests import _disort
 
 A = jnp.asarray([0.02, 0.1, 0.5])

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import oceaninv as oi
-from fitting._bandwise import downward, path_radiance
+from fitting.photo._band_derivatives import downward, path_radiance
 
 WAVELENGTH = oi.spectrum.bands(4)
 DIRECTION = jnp.asarray([[0.6, 0.0, 0.8], [1.0, 0.0, 0.0], [0.0, 0.8, -0.6]])

@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 import oceaninv as oi
-from oceaninv import tables, water
-from oceaninv.bio_optics import JERLOV_SOURCES, jerlov_types
+from oceaninv import water
+from oceaninv.foundation import tables
+from oceaninv.water.bio_optics import JERLOV_SOURCES, jerlov_types
 from tests.extra_constituent import Bubbles
 
 VISIBLE = np.arange(400.0, 701.0, 50.0)

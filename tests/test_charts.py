@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 from matplotlib.path import Path as Outline
 
-import fitting.cli as cli
+import fitting.commands.main as cli
 import oceaninv as oi
 from fitting import Photograph, read_photograph
-from fitting.charts import _apply, _perspective, overlay, read_chart
-from fitting.photo import WAVELENGTH
-from fitting.readers import read_photo
-from fitting.targets import target
+from fitting.images.chart_reading import _apply, _perspective, overlay, read_chart
+from fitting.images.chart_targets import target
+from fitting.images.photo_csv import read_photo
+from fitting.photo.fit_photo import WAVELENGTH
 from tests.test_photographs import write
 
 CORNERS = np.array([[31.0, 22.0], [151.0, 35.0], [143.0, 118.0], [22.0, 97.0]])
@@ -155,7 +155,7 @@ def test_the_command_writes_what_the_fit_reads(tmp_path, capsys):
 @pytest.mark.parametrize("turn", [0, 1, 2])
 def test_a_chart_is_found_in_any_orientation(turn, tmp_path, capsys):
     pytest.importorskip("colour_checker_detection", exc_type=ImportError)
-    from fitting.detection import find_charts
+    from fitting.images.chart_detection import find_charts
 
     chart = target("ColorChecker24")
     weights = np.asarray(oi.spectrum.generic_camera().weights(WAVELENGTH))

@@ -7,7 +7,9 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from fitting import Profile, cli, fit_profile, report
+from fitting import Profile, fit_profile
+from fitting.commands import main as cli
+from fitting.report.picture import picture as report
 
 SCENES = Path(__file__).parents[1] / "scenes"
 CAST = str(SCENES / "argo_6903247.csv")
@@ -173,8 +175,8 @@ def test_a_dataset_survives_a_round_trip(tmp_path):
 def test_the_console_script_sets_float64_before_any_array():
     code = (
         "import sys; sys.argv = ['oceaninv', 'fit-profile', 'nowhere.csv']\n"
-        "import fitting.cli, jax\n"
-        "try:\n    fitting.cli.main()\n"
+        "import fitting.commands.main, jax\n"
+        "try:\n    fitting.commands.main.main()\n"
         "except SystemExit as end:\n    print(end.code, jax.config.jax_enable_x64, "
         "bool(jax.config.jax_compilation_cache_dir))\n"
     )

@@ -9,10 +9,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from oceaninv._numerics import gauss_legendre
-from oceaninv._quadrature import angular_basis, double_gauss, legendre, snell_gauss
-from oceaninv.transport import _column
-from oceaninv.transport import _matrix_functions as mf
+from oceaninv.foundation.numerics import gauss_legendre
+from oceaninv.foundation.quadrature import angular_basis, double_gauss, legendre, snell_gauss
+from oceaninv.transport.plane_parallel import _column
+from oceaninv.transport.plane_parallel import _matrix_functions as mf
 
 REFERENCE = Path(__file__).parents[1].parent / "shared" / "reference" / "radiative_transfer.json"
 needs_reference = pytest.mark.skipif(not REFERENCE.exists(), reason="no reference fields here")

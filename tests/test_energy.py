@@ -6,7 +6,7 @@ import pytest
 from scipy import stats
 
 import oceaninv as oi
-from oceaninv.phase import HenyeyGreenstein, Seawater
+from oceaninv.water.phase import HenyeyGreenstein, Seawater
 
 WAVELENGTH = np.linspace(420.0, 680.0, 5)
 ONE = jnp.ones(5)

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import oceaninv as oi
-from oceaninv.fidelity import _errors, _terms, choice
+from oceaninv.fidelity import error_model, planning, scene_terms
 
 WAVELENGTH = np.linspace(410.0, 690.0, 15)
 
@@ -42,10 +42,10 @@ def _ed(scene, depth=5.0):
 
 
 def _rank(quantity, transport):
-    return [choice.rung(t) for t in choice.LADDERS[quantity]].index(choice.rung(transport))
+    return [planning.rung(t) for t in planning.LADDERS[quantity]].index(planning.rung(transport))
 
 
-@pytest.mark.parametrize("quantity", choice.QUANTITIES)
+@pytest.mark.parametrize("quantity", planning.QUANTITIES)
 def test_a_smaller_tolerance_is_never_cheaper(quantity):
     ranks = [
         _rank(quantity, oi.plan(_scene(), tolerance, quantity, depth=3.0).transport)
@@ -59,7 +59,7 @@ def test_a_smaller_tolerance_is_never_cheaper(quantity):
 def test_promises_are_kept_or_refused_in_words():
     plan = oi.plan(_scene(), 0.05, "irradiance")
     assert plan.predicted_error <= 0.05
-    assert choice.rung(plan.transport) in plan.why
+    assert planning.rung(plan.transport) in plan.why
     hopeless = oi.plan(_scene(), 1e-5, "radiance")
     assert hopeless.predicted_error > 1e-5
     assert "no rung promises" in hopeless.why
@@ -73,10 +73,10 @@ def test_waters_unlike_those_of_the_fit_are_said_to_be():
 
 
 def test_every_rung_has_its_numbers():
-    for quantity in choice.QUANTITIES:
-        for transport in choice.LADDERS[quantity]:
+    for quantity in planning.QUANTITIES:
+        for transport in planning.LADDERS[quantity]:
             assert np.isfinite(
-                _errors.models()[quantity, choice.rung(transport)].coefficients
+                error_model.models()[quantity, planning.rung(transport)].coefficients
             ).all()
 
 
@@ -91,8 +91,8 @@ def test_a_floor_out_of_reach_is_dropped_and_a_near_one_is_not():
 def test_the_floors_bound_is_not_exceeded():
     for depth, floor in ((1.0, 4.0), (4.0, 4.5), (5.0, 12.0)):
         scene = _scene(floor=floor)
-        bands = _errors.bands_of(scene, _water())
-        from oceaninv.fidelity._terms import _floor_bound
+        bands = error_model.bands_of(scene, _water())
+        from oceaninv.fidelity.scene_terms import _floor_bound
 
         bound = _floor_bound(bands, np.full(len(WAVELENGTH), depth), scene, "irradiance")
         change = np.max(np.abs(_ed(scene, depth) / _ed(_scene(), depth) - 1))
@@ -121,9 +121,9 @@ def test_inelastic_terms_are_judged_one_by_one():
     """Raman light matters in the red at depth, not in the blue near the surface."""
     inelastic = oi.Inelastic(raman=oi.Raman())
     scene = _scene(inelastic=inelastic)
-    kept = _terms.reduced_scene(scene, 0.002, "irradiance", None)
+    kept = scene_terms.reduced_scene(scene, 0.002, "irradiance", None)
     assert kept[2]["raman"].kept
-    blue = _terms.reduced_scene(scene, 0.3, "radiance", 0.01)
+    blue = scene_terms.reduced_scene(scene, 0.3, "radiance", 0.01)
     assert not blue[2]["raman"].kept
     assert blue[0].inelastic is None
 
@@ -183,13 +183,15 @@ def _asked(scene, transport, quantity):
         pytest.param(oi.PlaneParallel(4, 2), marks=pytest.mark.slow),
         pytest.param(oi.MonteCarlo(32, 4), marks=pytest.mark.slow),
     ],
-    ids=choice.rung,
+    ids=planning.rung,
 )
 def test_a_term_that_is_not_there_costs_nothing(transport, quantity, monkeypatch):
     """What the plan leaves is the program of a scene that was written without these terms, of
     every transport; each term that is there costs something."""
     # Nodes split at a surface go with fewer moments of phase functions, which is another saving.
-    monkeypatch.setattr("oceaninv.transport.plane_parallel._flux_moments", lambda scene, n: 2 * n)
+    monkeypatch.setattr(
+        "oceaninv.transport.plane_parallel.plane_parallel._flux_moments", lambda scene, n: 2 * n
+    )
     one = jnp.ones(len(WAVELENGTH))
     far, dark = oi.Floor(300.0, 0.3 * one), 0.0 * one
     glow = oi.Inelastic(raman=oi.Raman(1e-12)) if transport.inelastic else None

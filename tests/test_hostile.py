@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-import fitting.cli as cli
+import fitting.commands.main as cli
 from tests.test_photographs import IMAGE, broken, write
 from tests.test_readers import PHOTO
 

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 import oceaninv as oi
-from oceaninv import inelastic
-from oceaninv.inelastic import CDOMFluorescence, ChlorophyllFluorescence, Inelastic, Raman
-from oceaninv.phase import HenyeyGreenstein
+from oceaninv.water import inelastic
+from oceaninv.water.inelastic import CDOMFluorescence, ChlorophyllFluorescence, Inelastic, Raman
+from oceaninv.water.phase import HenyeyGreenstein
 
 GRID = np.arange(310.0, 801.0, 10.0)
 

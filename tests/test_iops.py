@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import oceaninv as oi
-from oceaninv.iops import check_concrete
+from oceaninv.water.iops import check_concrete
 
 WAVELENGTH = [440.0, 550.0, 660.0]
 A = np.array([[0.01, 0.06, 0.4], [0.2, 0.1, 0.05]])

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import oceaninv as oi
-from oceaninv.attenuation import kd_lee2005
-from oceaninv.transport.kd import monzon2024
+from oceaninv.transport.closed_form.kd import monzon2024
+from oceaninv.water.attenuation import kd_lee2005
 
 ONE = jnp.ones(1)
 WATER = oi.IOPs([550.0], 0.08 * ONE, 0.3 * ONE, oi.phase.HenyeyGreenstein(0.924))

@@ -8,10 +8,10 @@ from scipy.integrate import quad
 
 import oceaninv as oi
 from fitting import Background, Chart, Photo, fit_photo, read_photograph
-from fitting._lamp_model import lamplit
-from fitting.charts import table_of
-from fitting.photo import predict, prepare
-from fitting.readers import read_photo
+from fitting.images.chart_reading import table_of
+from fitting.images.photo_csv import read_photo
+from fitting.photo._lamp import lamplit
+from fitting.photo.fit_photo import predict, prepare
 from tests.test_photo import CAMERA, GREY, TRUTH, water
 from tests.test_photographs import IMAGE, write
 from tests.test_readers import PHOTO

@@ -7,11 +7,18 @@ import pytest
 import xarray as xr
 
 import oceaninv as oi
-from fitting import NUTS, Fit, Parameter, Profile, cli, fit_profile, sample
-from fitting._cast_problem import model_ed
-from fitting._evidence import worth
-from fitting.layered import interfaces_of, layer_unknowns, layers_of, roundings, water_of
-from fitting.parameters import Log, Parameters, water_iops, water_unknowns
+from fitting import NUTS, Fit, Parameter, Profile, fit_profile, sample
+from fitting.commands import main as cli
+from fitting.core.parameters import Log, Parameters, water_iops, water_unknowns
+from fitting.profile.constituents.problem import model_ed
+from fitting.profile.kd.layer_selection import worth
+from fitting.water_model.layered_water import (
+    interfaces_of,
+    layer_unknowns,
+    layers_of,
+    roundings,
+    water_of,
+)
 
 BANDS = np.array([412.0, 443.0, 490.0, 555.0, 620.0, 665.0])
 DEPTH = np.linspace(0.2, 15.0, 60)

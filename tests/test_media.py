@@ -5,7 +5,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from oceaninv import media, particles, phase
+from oceaninv.mie import media, particles
+from oceaninv.water import phase
 
 WAVELENGTH = np.array([450.0, 550.0, 650.0])
 

@@ -11,7 +11,7 @@ import mpmath as mp
 import numpy as np
 import pytest
 
-from oceaninv import mie
+from oceaninv.mie import sphere
 
 REFERENCE = Path(__file__).parents[1].parent / "shared" / "reference"
 ANGLES = (0, 30, 90, 180)
@@ -30,7 +30,7 @@ def _number(value):
 
 
 def _rows(kind):
-    rows = [r for r in _load("mie.json")["rows"] if r["kind"] == kind]
+    rows = [r for r in _load("sphere.json")["rows"] if r["kind"] == kind]
     inputs = {k: np.array([_number(r["inputs"][k]) for r in rows]) for k in rows[0]["inputs"]}
     keys = [k for k, v in rows[0]["outputs"].items() if k not in ("N", "x", "y")]
     outputs = {k: np.array([_number(r["outputs"][k]) for r in rows]) for k in keys}
@@ -57,9 +57,9 @@ def test_efficiencies_match_the_references(xm, host):
     inputs, outputs = xm
     x, m = inputs["x"], inputs["m"]
     if host == "real":
-        values = mie.efficiencies(x, m)
+        values = sphere.efficiencies(x, m)
     else:
-        c = mie.cross_sections(x / 2.0, 1000.0 * np.pi, m, 1.0 + 0.0j)
+        c = sphere.cross_sections(x / 2.0, 1000.0 * np.pi, m, 1.0 + 0.0j)
         area = np.pi * (x / 2.0) ** 2
         values = c.extinction / area, c.scattering / area, c.asymmetry
     for value, key in zip(values, ("Qext", "Qsca", "g"), strict=True):
@@ -70,8 +70,8 @@ def test_efficiencies_match_the_references(xm, host):
 
 def test_cross_sections_match_the_references(phys):
     inputs, outputs = phys
-    with pytest.warns(mie.AbsorbingHostWarning, match="alpha"):
-        c = mie.cross_sections(
+    with pytest.warns(sphere.AbsorbingHostWarning, match="alpha"):
+        c = sphere.cross_sections(
             inputs["r_um"], 1e3 * inputs["lambda_um"], inputs["eta_p"], inputs["eta_med"]
         )
     for value, key in zip(c, ("Ct", "Cs", "g"), strict=True):
@@ -88,10 +88,10 @@ def test_amplitudes_and_phase_function_match_the_references(phys):
         inputs["eta_med"],
     )
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", mie.AbsorbingHostWarning)
-        amplitudes = mie.amplitudes(COSINES[:, None], *arguments)
-        phase = np.asarray(mie.phase_function(COSINES[:, None], *arguments))
-        forward = np.asarray(mie.sections_and_forward(*arguments)[1])
+        warnings.simplefilter("ignore", sphere.AbsorbingHostWarning)
+        amplitudes = sphere.amplitudes(COSINES[:, None], *arguments)
+        phase = np.asarray(sphere.phase_function(COSINES[:, None], *arguments))
+        forward = np.asarray(sphere.sections_and_forward(*arguments)[1])
     scale = np.abs(outputs["S1_0"])
     for i, angle in enumerate(ANGLES):
         for name, value in zip(("S1", "S2"), amplitudes, strict=True):
@@ -106,10 +106,10 @@ def test_amplitudes_and_phase_function_match_the_references(phys):
 
 def test_published_values():
     """Bohren & Huffman (1983) and Wiscombe's MIEV0 cases, as printed."""
-    checks = _load("mie.json")["published_checks"]
+    checks = _load("sphere.json")["published_checks"]
     x = np.array([float(c["x"]) for c in checks])
     m = np.array([_number(c["m"]) for c in checks])
-    values = dict(zip(("Qext", "Qsca", "g"), mie.efficiencies(x, m), strict=True))
+    values = dict(zip(("Qext", "Qsca", "g"), sphere.efficiencies(x, m), strict=True))
     for i, check in enumerate(checks):
         for key in values.keys() & check["published"].keys():
             digits = check.get("tolerance", 1.01e-4)
@@ -118,7 +118,7 @@ def test_published_values():
 
 def _stacked(p, wavelength):
     host, particle = jax.lax.complex(p[1], p[2]), jax.lax.complex(p[3], p[4])
-    return jnp.stack(mie.cross_sections(p[0], wavelength, particle, host, max_size=200.0))
+    return jnp.stack(sphere.cross_sections(p[0], wavelength, particle, host, max_size=200.0))
 
 
 @pytest.mark.parametrize("mode", [jax.jacfwd, pytest.param(jax.jacrev, marks=pytest.mark.slow)])
@@ -191,8 +191,8 @@ def test_against_mpmath(radius, particle, host):
     """Absorbing hosts far beyond the references, and x = k pi."""
     wavelength = 500.0
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", mie.AbsorbingHostWarning)
-        c = mie.cross_sections(radius, wavelength, particle, host)
+        warnings.simplefilter("ignore", sphere.AbsorbingHostWarning)
+        c = sphere.cross_sections(radius, wavelength, particle, host)
     with mp.workdps(60):
         k0 = 2 * mp.pi * mp.mpf(radius) / (mp.mpf(wavelength) / 1000)
         amplitude, power, g = _mpmath_sphere(k0 * host, mp.mpc(particle) / mp.mpc(host), 45)
@@ -209,11 +209,11 @@ def test_mixed_sizes_in_one_batch_stay_finite():
     """Sizes from 0 to 1e4 side by side, each as if it were alone."""
     x = np.concatenate([[0.0], np.geomspace(1e-30, 1e4, 40)])
     for m in (1.5 + 0j, 1.33 + 1e-5j, 0.75 + 0j, 3.0 + 4.0j):
-        batch = np.array(mie.efficiencies(x, m))
+        batch = np.array(sphere.efficiencies(x, m))
         assert np.isfinite(batch).all()
         assert (batch[:2, x > 1e-20] > 0).all()
         assert (batch[:, 0] == 0).all()
-        alone = np.array([mie.efficiencies(v, m) for v in x[[10, 38]]]).T
+        alone = np.array([sphere.efficiencies(v, m) for v in x[[10, 38]]]).T
         np.testing.assert_allclose(batch[:, [10, 38]], alone, rtol=1e-13)
 
 
@@ -222,7 +222,7 @@ def test_rayleigh_limit():
     x = np.array([1e-30, 1e-12, 1e-6, 1e-5])
     for m in (1.5, 1.2 + 0.1j):
         K = (m * m - 1) / (m * m + 2)
-        q_ext, q_sca, g = (np.asarray(v) for v in mie.efficiencies(x, m))
+        q_ext, q_sca, g = (np.asarray(v) for v in sphere.efficiencies(x, m))
         scattering = 8 / 3 * x**4 * abs(K) ** 2
         np.testing.assert_allclose(q_sca, scattering, rtol=1e-9)
         # To relative order x^2 = 1e-10; below 1e-25 scattering is lost beside absorption's form.
@@ -236,7 +236,7 @@ def test_gradient_at_zero_radius():
     """Value and slope vanish at radius 0; the slope just above follows r^3 of absorption."""
 
     def extinction(radius):
-        return mie.cross_sections(radius, 500.0, 1.5 + 0.1j, 1.34, max_size=1.0).extinction
+        return sphere.cross_sections(radius, 500.0, 1.5 + 0.1j, 1.34, max_size=1.0).extinction
 
     slope = jax.jit(jax.vmap(jax.grad(extinction)))(jnp.array([0.0, 1e-32, 1e-5]))
     assert slope[0] == 0
@@ -247,20 +247,20 @@ def test_gradient_at_zero_radius():
 @pytest.mark.slow
 def test_energy_is_conserved_and_large_spheres_remove_twice_their_area():
     x = np.geomspace(1e-3, 2000.0, 60)
-    q_ext, q_sca, _ = mie.efficiencies(x, 1.4)
+    q_ext, q_sca, _ = sphere.efficiencies(x, 1.4)
     np.testing.assert_allclose(q_ext, q_sca, rtol=1e-12)
-    q_ext, q_sca, _ = mie.efficiencies(x, 1.4 + 0.5j)
+    q_ext, q_sca, _ = sphere.efficiencies(x, 1.4 + 0.5j)
     assert (np.asarray(q_ext) > np.asarray(q_sca)).all()
-    assert float(mie.efficiencies(1e4, 1.4 + 0.5j)[0]) == pytest.approx(2.0, abs=6e-3)
+    assert float(sphere.efficiencies(1e4, 1.4 + 0.5j)[0]) == pytest.approx(2.0, abs=6e-3)
 
 
 @pytest.mark.parametrize("host", [1.34, pytest.param(1.34 + 0.01j, marks=pytest.mark.slow)])
 def test_phase_function_integrates_to_one_with_mean_cosine_g(host):
     nodes, weights = np.polynomial.legendre.leggauss(120)
     radius = np.array([0.01, 0.3, 2.0])
-    phase = np.asarray(mie.phase_function(nodes[:, None], radius, 550.0, 1.5 + 0.01j, host))
+    phase = np.asarray(sphere.phase_function(nodes[:, None], radius, 550.0, 1.5 + 0.01j, host))
     np.testing.assert_allclose(2 * np.pi * weights @ phase, 1.0, rtol=1e-11)
-    g = mie.cross_sections(radius, 550.0, 1.5 + 0.01j, host).asymmetry
+    g = sphere.cross_sections(radius, 550.0, 1.5 + 0.01j, host).asymmetry
     np.testing.assert_allclose(2 * np.pi * (weights * nodes) @ phase, g, rtol=1e-11)
 
 
@@ -269,11 +269,11 @@ def test_phase_function_broadcasts_like_numpy():
     """Angles with or without an axis of their own give the same numbers."""
     radius, wavelength = np.array([0.2, 0.5, 1.0]), np.array([[450.0], [600.0]])
     cosine = np.linspace(-1, 1, 5)
-    table = mie.phase_function(cosine[:, None, None], radius, wavelength, 1.5, 1.34)
+    table = sphere.phase_function(cosine[:, None, None], radius, wavelength, 1.5, 1.34)
     assert table.shape == (5, 2, 3)
-    single = mie.phase_function(cosine, 0.5, 600.0, 1.5, 1.34)
+    single = sphere.phase_function(cosine, 0.5, 600.0, 1.5, 1.34)
     np.testing.assert_allclose(table[:, 1, 1], single, rtol=1e-13)
-    paired = mie.phase_function(cosine[:3], radius, wavelength, 1.5, 1.34)
+    paired = sphere.phase_function(cosine[:3], radius, wavelength, 1.5, 1.34)
     assert paired.shape == (2, 3)
     np.testing.assert_allclose(paired[0], np.asarray(table)[[0, 1, 2], 0, [0, 1, 2]], rtol=1e-13)
 
@@ -284,7 +284,7 @@ def test_derivatives_of_the_phase_function():
 
     def phase(p):
         particle, host = jax.lax.complex(p[2], p[3]), jax.lax.complex(p[4], p[5])
-        return mie.phase_function(p[0], p[1], 550.0, particle, host, max_size=40.0)
+        return sphere.phase_function(p[0], p[1], 550.0, particle, host, max_size=40.0)
 
     point = jnp.array([-0.3, 1.2, 1.5, 1e-3, 1.34, 1e-3])
     gradient = jax.jit(jax.grad(phase))(point)
@@ -301,9 +301,9 @@ def test_float32(xm):
     inputs, _ = xm
     x, m = inputs["x"].astype(np.float32), inputs["m"].astype(np.complex64)
     # Compiled as users' programs are, not as other tests: of 1e4 terms the rounding counts.
-    within = functools.partial(mie.efficiencies, max_size=float(x.max()))
+    within = functools.partial(sphere.efficiencies, max_size=float(x.max()))
     values = jax.jit(within, compiler_options={"xla_backend_optimization_level": 3})(x, m)
-    exact = mie.efficiencies(x.astype(float), m.astype(complex))
+    exact = sphere.efficiencies(x.astype(float), m.astype(complex))
     apart = np.abs(m - 1) > 0.049
     for value, reference in zip(values, exact, strict=True):
         assert value.dtype == jnp.float32
@@ -312,18 +312,18 @@ def test_float32(xm):
         assert error[apart & (x <= 1e4)].max() < 1e-5
     tiny = np.geomspace(1e-6, 1e-3, 12, dtype=np.float32)
     for m32 in (np.float32(1.33), np.complex64(1.33 + 0.01j)):
-        q_ext, q_sca, g = mie.efficiencies(tiny, m32)
-        reference = mie.efficiencies(tiny.astype(float), complex(m32))
+        q_ext, q_sca, g = sphere.efficiencies(tiny, m32)
+        reference = sphere.efficiencies(tiny.astype(float), complex(m32))
         assert _error(q_ext, np.asarray(reference[0])).max() < 1e-5
         assert _error(q_sca, np.asarray(reference[1])).max() < 1e-5
         assert np.isfinite(g).all()
-    c = mie.cross_sections(np.float32(1.0), 550.0, 1.58 + 1e-4j, 1.34 + 1e-6j)
+    c = sphere.cross_sections(np.float32(1.0), 550.0, 1.58 + 1e-4j, 1.34 + 1e-6j)
     assert {v.dtype for v in c} == {jnp.dtype("float32")}
 
 
 def test_the_printed_sign_of_zeta_is_wrong():
     """Eq 8 with -i y would give a negative extinction for m = 1.5 + i, x = 1."""
-    q_ext = float(mie.efficiencies(1.0, 1.5 + 1.0j)[0])
+    q_ext = float(sphere.efficiencies(1.0, 1.5 + 1.0j)[0])
     assert q_ext == pytest.approx(2.3363, abs=5e-5)
     with mp.workdps(30):  # zeta -> zeta with -i y is the conjugate problem of m -> conj m
         amplitude, _, _ = _mpmath_sphere(1.0, 1.5 - 1.0j, 20)
@@ -331,20 +331,20 @@ def test_the_printed_sign_of_zeta_is_wrong():
 
 
 def test_one_program_serves_every_size():
-    mie.cross_sections(np.full(9, 0.01), 550.0, 1.58, 1.34)
-    programs = mie._cross_sections._cache_size()
+    sphere.cross_sections(np.full(9, 0.01), 550.0, 1.58, 1.34)
+    programs = sphere._cross_sections._cache_size()
     for radius in (1e-4, 0.3, 7.0, 150.0):
-        mie.cross_sections(np.full(9, radius), 550.0, 1.58, 1.34)
-    assert mie._cross_sections._cache_size() == programs
+        sphere.cross_sections(np.full(9, radius), 550.0, 1.58, 1.34)
+    assert sphere._cross_sections._cache_size() == programs
 
 
 @pytest.mark.slow
 def test_jit_and_vmap_agree_with_the_plain_call():
     radius = np.geomspace(0.01, 10.0, 9)
-    plain = np.array(mie.cross_sections(radius, 550.0, 1.58 + 1e-3j, 1.34))
+    plain = np.array(sphere.cross_sections(radius, 550.0, 1.58 + 1e-3j, 1.34))
 
     def one(r):
-        return mie.cross_sections(r, 550.0, 1.58 + 1e-3j, 1.34, max_size=200.0)
+        return sphere.cross_sections(r, 550.0, 1.58 + 1e-3j, 1.34, max_size=200.0)
 
     np.testing.assert_allclose(np.array(jax.jit(one)(radius)), plain, rtol=1e-13)
     np.testing.assert_allclose(np.array(jax.vmap(one)(radius)), plain, rtol=1e-13)
@@ -352,7 +352,7 @@ def test_jit_and_vmap_agree_with_the_plain_call():
 
 def test_bad_lanes_become_nan_inside_jit():
     radius = jnp.array([-1.0, 0.5, jnp.nan, 1e3])
-    c = jax.jit(lambda r: mie.cross_sections(r, 550.0, 1.58, 1.34, max_size=100.0))(radius)
+    c = jax.jit(lambda r: sphere.cross_sections(r, 550.0, 1.58, 1.34, max_size=100.0))(radius)
     for value in c:
         np.testing.assert_array_equal(np.isnan(value), [True, False, True, True])
 
@@ -376,15 +376,15 @@ GOOD = {"radius": 1.0, "wavelength": 550.0, "particle_index": 1.5, "host_index":
 )
 def test_bad_input_is_refused_by_name(change, message):
     with pytest.raises(ValueError, match=message):
-        mie.cross_sections(**(GOOD | change))
+        sphere.cross_sections(**(GOOD | change))
 
 
 def test_bad_input_of_efficiencies_and_phase_function():
     with pytest.raises(ValueError, match="x must be at least 0"):
-        mie.efficiencies(-1.0, 1.5)
+        sphere.efficiencies(-1.0, 1.5)
     with pytest.raises(ValueError, match=r"m must be n \+ ik"):
-        mie.efficiencies(1.0, 1.5 - 1j)
+        sphere.efficiencies(1.0, 1.5 - 1j)
     with pytest.raises(ValueError, match="cos_theta must be a cosine"):
-        mie.phase_function(1.5, **GOOD)
+        sphere.phase_function(1.5, **GOOD)
     with pytest.raises(ValueError, match="max_size"):
-        jax.jit(lambda x: mie.efficiencies(x, 1.5))(1.0)
+        jax.jit(lambda x: sphere.efficiencies(x, 1.5))(1.0)

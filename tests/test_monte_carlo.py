@@ -12,11 +12,8 @@ import pytest
 from scipy import stats
 
 import oceaninv as oi
-from oceaninv.phase import (
-    HenyeyGreenstein,
-    Seawater,
-)
-from oceaninv.transport import _forward, _ordered, _walks
+from oceaninv.transport.monte_carlo import _array_rqmc, _event_loop, _forward
+from oceaninv.water.phase import HenyeyGreenstein, Seawater
 
 WAVELENGTH = np.array([450.0, 550.0])
 A = jnp.asarray
@@ -203,13 +200,13 @@ def test_layers_surface_floor_and_sky_against_the_exact_irradiance():
 
 
 def test_chunks_do_not_matter(layered, monkeypatch):
-    monkeypatch.setattr(_walks, "_CHUNK", 1000)
+    monkeypatch.setattr(_event_loop, "_CHUNK", 1000)
     found = oi.radiance(LAYERED, LOOKS, oi.MonteCarlo(2**12), key=jax.random.key(3))
     np.testing.assert_allclose(found.value, layered.value, rtol=1e-12)
     np.testing.assert_allclose(found.stderr, layered.stderr, rtol=1e-9)
     transport = oi.MonteCarlo(2**12, 6, thin=False)
     fluxes = below(P, jax.random.key(3), transport)
-    monkeypatch.setattr(_walks, "_CHUNK", 100)
+    monkeypatch.setattr(_event_loop, "_CHUNK", 100)
     jax.clear_caches()
     for one, other in zip(fluxes, below(P, jax.random.key(3), transport), strict=True):
         np.testing.assert_allclose(one, other, rtol=1e-9)
@@ -238,7 +235,7 @@ def test_order_pays(monkeypatch):
     transport, key = oi.MonteCarlo(2**15, 8, thin=False), jax.random.key(12)
     ordered = below(THICK, key, transport)[1]
     monkeypatch.setattr(
-        _ordered, "places", lambda z, _: jnp.broadcast_to(jnp.arange(z.shape[1]), z.shape)
+        _array_rqmc, "places", lambda z, _: jnp.broadcast_to(jnp.arange(z.shape[1]), z.shape)
     )
     jax.clear_caches()
     ratio = below(THICK, key, transport)[1] / ordered
@@ -378,8 +375,8 @@ def test_rays_and_depths_have_no_derivative():
 
 def test_an_unknown_error_stays_unknown_in_a_sum():
     one, unknown = (oi.Estimate(A([1.0]), A([e]), A([0.0])) for e in (3.0, np.nan))
-    assert np.isnan(_walks.summed([one, unknown]).stderr).all()
-    np.testing.assert_allclose(_walks.summed([one, one]).stderr, np.sqrt(18.0))
+    assert np.isnan(_event_loop.summed([one, unknown]).stderr).all()
+    np.testing.assert_allclose(_event_loop.summed([one, one]).stderr, np.sqrt(18.0))
 
 
 def test_bad_input_says_what_to_do():

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 import oceaninv as oi
-from oceaninv.inelastic import Inelastic, Raman, sources
-from oceaninv.phase import HenyeyGreenstein, Isotropic
+from oceaninv.water.inelastic import Inelastic, Raman, sources
+from oceaninv.water.phase import HenyeyGreenstein, Isotropic
 
 REFERENCE = Path(__file__).parents[1].parent / "shared" / "reference" / "radiative_transfer.json"
 WAVELENGTH = np.array([490.0, 590.0])

@@ -7,8 +7,8 @@ import pytest
 from scipy import stats
 
 import oceaninv as oi
-from oceaninv.optics import fresnel_from_water
-from oceaninv.phase import HenyeyGreenstein
+from oceaninv.foundation.interface_optics import fresnel_from_water
+from oceaninv.water.phase import HenyeyGreenstein
 
 WAVELENGTH = np.array([450.0, 550.0])
 A = jnp.asarray

@@ -8,7 +8,7 @@ import mpmath
 import numpy as np
 import pytest
 
-from oceaninv._numerics import (
+from oceaninv.foundation.numerics import (
     exp_mean,
     exp_mean3,
     exp_moment,

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import oceaninv as oi
-from oceaninv.objects import blocked, nearest
+from oceaninv.scene.objects import blocked, nearest
 
 GREY = jnp.asarray([0.2, 0.4])
 SPHERE = oi.Sphere((0.0, 0.0, 5.0), 1.0, GREY)

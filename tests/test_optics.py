@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import oceaninv as oi
-from oceaninv.optics import (
+from oceaninv.foundation.interface_optics import (
     diffuse_reflectance,
     fresnel_from_air,
     fresnel_from_water,

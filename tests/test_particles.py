@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from oceaninv import _frisvad2007, mie, particles
+from oceaninv.mie import _frisvad2007_table, particles, sphere
 
 REFERENCE = Path(__file__).parents[1].parent / "shared" / "reference" / "natural_waters.json"
 WAVELENGTH = np.array([450.0, 550.0, 650.0])
@@ -113,7 +113,7 @@ def _small(mean=0.3, fraction=1e-5, radii=60, index=1.5 + 1e-3j):
 def test_narrow_population_is_number_density_times_cross_section():
     sizes = particles.LogNormal(0.5, 1e-4)
     bulk = particles.Population(1.5 + 1e-3j, sizes, 1e-6, 60).bulk(WAVELENGTH, 1.34 + 1e-9j)
-    c = mie.cross_sections(0.5, WAVELENGTH, 1.5 + 1e-3j, 1.34 + 1e-9j)
+    c = sphere.cross_sections(0.5, WAVELENGTH, 1.5 + 1e-3j, 1.34 + 1e-9j)
     density = 1e-6 / (4 / 3 * np.pi * 0.5**3) * 1e6
     np.testing.assert_allclose(bulk.b, density * c.scattering, rtol=1e-6)
     np.testing.assert_allclose(bulk.c, density * c.extinction, rtol=1e-6)
@@ -186,10 +186,10 @@ def _natural_water(name, radii):
         ("mineral", particles.PowerLaw(3.4, 0.01, 100.0), water["v_mineral"]),
     )
     populations = [
-        particles.Population(_frisvad2007.index(kind, wavelength), sizes, fraction, radii)
+        particles.Population(_frisvad2007_table.index(kind, wavelength), sizes, fraction, radii)
         for kind, sizes, fraction in kinds
     ]
-    bulk = particles.medium(wavelength, _frisvad2007.index("brine", wavelength), populations)
+    bulk = particles.medium(wavelength, _frisvad2007_table.index("brine", wavelength), populations)
     pairs = ((bulk.a, "sigma_a"), (bulk.b, "sigma_s"), (bulk.g, "g"))
     return bulk, max(np.abs(np.asarray(v) / np.array(water[k]) - 1).max() for v, k in pairs)
 

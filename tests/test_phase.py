@@ -12,7 +12,7 @@ import pytest
 import scipy.optimize
 import scipy.special
 
-from oceaninv.phase import (
+from oceaninv.water.phase import (
     FournierForand,
     HenyeyGreenstein,
     Isotropic,

@@ -9,10 +9,10 @@ import pytest
 
 import oceaninv as oi
 from fitting import Background, Chart, Parameter, Photo, Pixels, design, fit_photo, fit_photos
-from fitting.parameters import water_iops
-from fitting.photo import WAVELENGTH, photo_residual, predict, prepare
-from fitting.quantities import water_quantities
-from fitting.solve import covariance, cross_check
+from fitting.core.least_squares import covariance, cross_check
+from fitting.core.parameters import water_iops
+from fitting.photo.fit_photo import WAVELENGTH, photo_residual, predict, prepare
+from fitting.water_model.quantities import water_quantities
 
 GREY = np.array([0.9, 0.5, 0.2, 0.08])
 TRUTH = {"chlorophyll": 1.5, "cdom": 0.15, "detritus": 0.08}
@@ -147,7 +147,7 @@ def test_predicted_values_are_those_of_the_forward_chain():
 
 
 def test_a_shifted_response_is_the_response_moved_to_the_red():
-    from fitting._photo_model import _shifted
+    from fitting.photo.forward_model import _shifted
 
     response = oi.spectrum.camera_response(CAMERA)
     still, moved = np.asarray(response.weights(WAVELENGTH)), np.asarray(_shifted(response, 2.0))
@@ -387,7 +387,7 @@ def test_a_batch_is_its_fits():
 
 def scenery(count, seed=0):
     """Pixels of a reef at 1-6 m in the true water, reflectances from the fit's own prior."""
-    from fitting._photo_model import _ALBEDO, _BASIS, ALBEDO_TERMS
+    from fitting.photo.forward_model import _ALBEDO, _BASIS, ALBEDO_TERMS
 
     rng = np.random.default_rng(seed)
     sun = jnp.asarray(oi.spectrum.daylight(WAVELENGTH))

@@ -8,8 +8,9 @@ import numpy as np
 import OpenImageIO as oiio
 import pytest
 
-from fitting import cli, read_photograph, read_range
-from fitting.photographs import pixels_of
+from fitting import read_photograph, read_range
+from fitting.commands import main as cli
+from fitting.images.photograph_file import pixels_of
 
 SCENES = Path(__file__).parents[1] / "scenes"
 RNG = np.random.default_rng(4)

@@ -9,12 +9,12 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from oceaninv.iops import IOPs, Layers
-from oceaninv.light import Light
-from oceaninv.optics import Rays
-from oceaninv.phase import HenyeyGreenstein, Seawater, petzold
-from oceaninv.scene import FlatSurface, Floor, Scene
-from oceaninv.transport.plane_parallel import PlaneParallel
+from oceaninv.foundation.interface_optics import Rays
+from oceaninv.scene.light import Light
+from oceaninv.scene.scene import FlatSurface, Floor, Scene
+from oceaninv.transport.plane_parallel.plane_parallel import PlaneParallel
+from oceaninv.water.iops import IOPs, Layers
+from oceaninv.water.phase import HenyeyGreenstein, Seawater, petzold
 
 REFERENCE = Path(__file__).parents[1].parent / "shared" / "reference" / "radiative_transfer.json"
 needs_reference = pytest.mark.skipif(not REFERENCE.exists(), reason="no reference fields here")

@@ -8,8 +8,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from oceaninv._quadrature import angular_basis, double_gauss, legendre
-from oceaninv.transport import _column
+from oceaninv.foundation.quadrature import angular_basis, double_gauss, legendre
+from oceaninv.transport.plane_parallel import _column
 
 STREAMS = 16
 # Absorption and scattering, 1/m: with c = 1, and nothing at all.

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 import oceaninv as oi
-from oceaninv import inelastic
-from oceaninv.phase import AbstractPhase, HenyeyGreenstein, Isotropic, Seawater
+from oceaninv.water import inelastic
+from oceaninv.water.phase import AbstractPhase, HenyeyGreenstein, Isotropic, Seawater
 
 REFERENCE = Path(__file__).parents[1].parent / "shared" / "reference" / "radiative_transfer.json"
 needs_reference = pytest.mark.skipif(not REFERENCE.exists(), reason="no reference fields here")

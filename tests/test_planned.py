@@ -10,12 +10,12 @@ import pytest
 
 import oceaninv as oi
 from fitting import fit_photo, fit_profile
-from fitting._photo_exact import exact_ratios, tangent, uncorrected
-from fitting._photo_problem import PhotoProblem, predict_all, prepare, search
-from fitting._planned import Demand, fit_within, scene_at
-from fitting.parameters import Parameter, Parameters, constituents
-from fitting.posterior import Fit, Predictive
-from oceaninv.fidelity import choice, sufficient
+from fitting.core.multifidelity import Demand, fit_within, scene_at
+from fitting.core.parameters import Parameter, Parameters, constituents
+from fitting.core.result import Fit, Predictive
+from fitting.photo.exact_correction import exact_ratios, tangent, uncorrected
+from fitting.photo.problem import PhotoProblem, predict_all, prepare, search
+from oceaninv.fidelity import planning, sufficient
 from tests.test_photo import clean, fitted, photo
 from tests.test_profile import constituent_cast
 
@@ -49,13 +49,13 @@ def test_the_plan_follows_the_water_that_is_found():
     plan = fit.metadata["plan"]
     assert plan["tried"][0] == "TwoStream()"
     assert len(plan["tried"]) > 1
-    assert choice.rung(used) == plan["transport"] == plan["tried"][-1]
+    assert planning.rung(used) == plan["transport"] == plan["tried"][-1]
     assert starts[:2] == [None, pytest.approx(0.03)]
     assert plan["kept"]
     assert plan["predicted_error"] <= 0.01
     chosen, error = sufficient(_scene(fit), 0.01)
-    ladder = [choice.rung(t) for t in choice.LADDERS["irradiance"]]
-    assert ladder.index(plan["transport"]) >= ladder.index(choice.rung(chosen))
+    ladder = [planning.rung(t) for t in planning.LADDERS["irradiance"]]
+    assert ladder.index(plan["transport"]) >= ladder.index(planning.rung(chosen))
     assert error <= 0.01
 
 
@@ -126,7 +126,7 @@ def test_what_holds_a_search_is_no_datum():
 def test_a_photo_fit_within_a_tolerance_is_that_of_the_exact_light(monkeypatch):
     """Readings of the exact light (few streams do for that)."""
     exact = oi.PlaneParallel(4, 4)
-    monkeypatch.setattr("fitting.photo.EXACT", exact)
+    monkeypatch.setattr("fitting.photo.fit_photo.EXACT", exact)
     parameters, readings, sunlight = prepare([photo()], exact)
     x = parameters.prior().centre
     ((seen, _),) = predict_all(parameters.layout(), readings, exact, sunlight, x)
@@ -138,7 +138,7 @@ def test_a_photo_fit_within_a_tolerance_is_that_of_the_exact_light(monkeypatch):
     assert plan["error_left"] <= 1e-3
     assert plan["stood_still"]
     assert plan["kept"]
-    assert plan["corrected_by"] == choice.rung(exact)
+    assert plan["corrected_by"] == planning.rung(exact)
     straight = fit_photo(made, transport=exact)
     for name in ("chlorophyll", "cdom", "detritus"):
         i = straight.parameters.names.index(name)
@@ -151,14 +151,14 @@ def test_the_planned_fit_is_that_of_the_exact_light(monkeypatch):
     """A cast of the exact light (few streams do for that): noise averages out, a model's error does
     not."""
     exact = oi.PlaneParallel(4)
-    monkeypatch.setattr("fitting.profile.EXACT", exact)
+    monkeypatch.setattr("fitting.profile.fit_profile.EXACT", exact)
     profile = constituent_cast(np.array([440.0, 510.0, 580.0]), transport=exact)[1]
     planned = fit_profile(profile, tolerance=0.03)
     plan = planned.metadata["plan"]
     assert plan["kept"]
     assert 0.001 < plan["largest_correction"] < 0.1
     assert 1 <= plan["corrections"] <= 3
-    assert plan["corrected_by"] == choice.rung(exact)
+    assert plan["corrected_by"] == planning.rung(exact)
     straight = fit_profile(profile, transport=exact)
     for name in ("chlorophyll", "cdom", "detritus"):
         i = straight.parameters.names.index(name)

@@ -8,14 +8,8 @@ import pytest
 from scipy.stats import norm, t
 
 from fitting import Fit, Identity, Logit, Parameter, Quantity
-from fitting.parameters import Parameters
-from fitting.posterior import (
-    Predictive,
-    amount_bias,
-    derived_quantity,
-    half_width,
-    quantile,
-)
+from fitting.core.parameters import Parameters
+from fitting.core.result import Predictive, amount_bias, derived_quantity, half_width, quantile
 
 
 def fit(parameters, x, sd, correlation=0.0, dof=None, result="converged"):

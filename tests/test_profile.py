@@ -10,11 +10,11 @@ import pytest
 
 import oceaninv as oi
 from fitting import Parameter, Profile, fit_profile
-from fitting._bands import band_residual, thickness
-from fitting._lanes import light_level_mask
-from fitting.posterior import quantile
-from fitting.readers import read_profile
-from fitting.solve import cross_check
+from fitting.core.least_squares import cross_check
+from fitting.core.result import quantile
+from fitting.images.photo_csv import read_profile
+from fitting.profile.kd.band_fit import band_residual, thickness
+from fitting.profile.kd.batching import light_level_mask
 from tests.acceptance.profile_statistics import bound, casts, statistics
 
 CASTS = Path(__file__).parents[1].parent / "shared/data/casts"

@@ -6,8 +6,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from fitting import _programs
-from fitting._programs import kept
+from fitting.core import program_cache
+from fitting.core.program_cache import kept
 
 TRACES = []
 
@@ -19,7 +19,7 @@ def _line(slope, x, power):
 
 @pytest.fixture
 def folder(tmp_path, monkeypatch):
-    monkeypatch.setattr(_programs, "_folder", lambda: str(tmp_path))
+    monkeypatch.setattr(program_cache, "_folder", lambda: str(tmp_path))
     TRACES.clear()
     return tmp_path
 
@@ -59,12 +59,12 @@ def test_a_broken_file_is_made_anew(folder):
 def test_a_folder_that_cannot_be_written_costs_only_time(folder, monkeypatch):
     blocked = folder / "file"
     blocked.write_text("")
-    monkeypatch.setattr(_programs, "_folder", lambda: str(blocked / "programs"))
+    monkeypatch.setattr(program_cache, "_folder", lambda: str(blocked / "programs"))
     np.testing.assert_array_equal(call()["value"], [0.0, 2.0, 8.0])
 
 
 def test_without_a_folder_it_is_jit(monkeypatch):
-    monkeypatch.setattr(_programs, "_folder", lambda: None)
+    monkeypatch.setattr(program_cache, "_folder", lambda: None)
     np.testing.assert_array_equal(call()["value"], [0.0, 2.0, 8.0])
 
 
@@ -88,7 +88,7 @@ def test_an_error_while_preparing_is_the_call_s(folder):
 
 def test_jax_s_own_cache_and_ours_keep_out_of_each_other_s_way(tmp_path, monkeypatch):
     values = {"jax_compilation_cache_dir": str(tmp_path), "jax_enable_compilation_cache": True}
-    monkeypatch.setattr(_programs.jax, "config", SimpleNamespace(values=values))
-    assert _programs._folder() is None
+    monkeypatch.setattr(program_cache.jax, "config", SimpleNamespace(values=values))
+    assert program_cache._folder() is None
     values["jax_enable_compilation_cache"] = False
-    assert _programs._folder() == str(tmp_path)
+    assert program_cache._folder() == str(tmp_path)

@@ -3,7 +3,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fitting.readers import read_photo, read_profile, read_sheet
+from fitting.images.photo_csv import read_photo, read_profile, read_sheet
 
 SCENES = Path(__file__).parents[1] / "scenes"
 HEADER = "# units: depth=m, Ed_*=W m-2 nm-1\n"

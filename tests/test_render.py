@@ -10,7 +10,8 @@ import OpenImageIO as oiio
 import pytest
 
 import oceaninv as oi
-from fitting import cli, render
+from fitting.commands import main as cli
+from oceaninv.rendering import render
 
 TEXT = """
 title = "a ball"

@@ -10,10 +10,10 @@ import pytest
 
 import oceaninv as oi
 from fitting import Background, Photo, Photograph, Quantity, fit_photo
-from fitting.html import write_html
-from fitting.photo import WAVELENGTH
-from fitting.quantities import nearest_jerlov
-from fitting.restore import restore
+from fitting.photo.fit_photo import WAVELENGTH
+from fitting.photo.restore import restore
+from fitting.report.web_page import write_html
+from fitting.water_model.quantities import nearest_jerlov
 from tests.test_photo import CAMERA, clean, fitted, water
 
 

@@ -10,12 +10,12 @@ import pytest
 from scipy.stats import chi2, kstest, norm
 
 from fitting import NUTS, Fit, Parameter, joint_region, sample
-from fitting._valley import widened
-from fitting.parameters import Parameters
-from fitting.posterior import Predictive, Quantity
-from fitting.regions import LikelihoodRegion
-from fitting.sampling import AbstractProblem
-from fitting.solve import covariance, least_squares
+from fitting.core.least_squares import covariance, least_squares
+from fitting.core.likelihood_regions import LikelihoodRegion
+from fitting.core.parameters import Parameters
+from fitting.core.profile_likelihood import widened
+from fitting.core.result import Predictive, Quantity
+from fitting.core.sampling import AbstractProblem
 from tests.acceptance._photo_posterior import region_of
 
 AXES = np.array([[1.0, 0.0], [0.9, 0.3]])

@@ -7,7 +7,8 @@ import pytest
 from scipy import stats
 from scipy.stats import qmc
 
-from oceaninv.phase import (
+from oceaninv.transport.monte_carlo import _array_rqmc, _random_numbers, _random_walk
+from oceaninv.water.phase import (
     FournierForand,
     HenyeyGreenstein,
     Isotropic,
@@ -15,7 +16,6 @@ from oceaninv.phase import (
     TwoTermHenyeyGreenstein,
     petzold,
 )
-from oceaninv.transport import _ordered, _paths, _sampling
 
 PHASES = {
     "isotropic": Isotropic(),
@@ -36,12 +36,12 @@ def test_scattering_angles_are_drawn_with_their_density(name):
     """Chi-squared of 64 bins of sin^2(theta/2) against the stated density, and the mean of
     phase/density, which is 1: no angle is left out."""
     phase = PHASES[name]
-    table = _sampling.half_angle_table((phase,), jnp.ones(1))[None]
-    words = _sampling.key_words(jax.random.key(5))
+    table = _random_numbers.half_angle_table((phase,), jnp.ones(1))[None]
+    words = _random_numbers.key_words(jax.random.key(5))
     paths = jnp.arange(DRAWS, dtype=jnp.uint32)
-    u = _sampling.uniforms(paths, jnp.uint32(3), words, jnp.float64)
-    half, density = _sampling.sample_half_angle(table, jnp.zeros(DRAWS, jnp.int32), u[1])
-    edges = np.asarray(table[0])[:: _sampling.BINS // 64]
+    u = _random_numbers.uniforms(paths, jnp.uint32(3), words, jnp.float64)
+    half, density = _random_numbers.sample_half_angle(table, jnp.zeros(DRAWS, jnp.int32), u[1])
+    edges = np.asarray(table[0])[:: _random_numbers.BINS // 64]
     counts, _ = np.histogram(np.asarray(half), edges)
     assert stats.chisquare(counts).pvalue > 1e-4
     ratio = np.asarray(phase(1 - 2 * half) / density)
@@ -50,19 +50,21 @@ def test_scattering_angles_are_drawn_with_their_density(name):
 
 
 def test_directions_keep_angle_azimuth_and_length():
-    words = _sampling.key_words(jax.random.key(6))
-    u = _sampling.uniforms(jnp.arange(DRAWS, dtype=jnp.uint32), jnp.uint32(0), words, jnp.float64)
+    words = _random_numbers.key_words(jax.random.key(6))
+    u = _random_numbers.uniforms(
+        jnp.arange(DRAWS, dtype=jnp.uint32), jnp.uint32(0), words, jnp.float64
+    )
     polar = 2 * u[0] - 1
     level = jnp.sqrt(1 - polar**2)
     start = (level * jnp.cos(6.28 * u[3]), level * jnp.sin(6.28 * u[3]), polar)
     half = u[1] ** 3
-    turned = _sampling.turn(start, half, u[2])
+    turned = _random_numbers.turn(start, half, u[2])
     cosine = sum(a * b for a, b in zip(start, turned, strict=True))
     np.testing.assert_allclose(cosine, 1 - 2 * half, atol=1e-12)
     np.testing.assert_allclose(sum(a**2 for a in turned), 1.0, rtol=1e-12)
     # About a fixed direction the azimuth is uniform, and a Lambertian cosine squared is.
     east = tuple(jnp.full(DRAWS, v) for v in (0.6, 0.0, -0.8))
-    x, y, z = _sampling.lambertian(east, u[1], u[2])
+    x, y, z = _random_numbers.lambertian(east, u[1], u[2])
     squared = np.asarray(0.6 * x - 0.8 * z) ** 2
     azimuth = np.arctan2(np.asarray(y), np.asarray(0.8 * x + 0.6 * z)) / (2 * np.pi) + 0.5
     for sample in (squared, azimuth, *map(np.asarray, u)):
@@ -77,16 +79,20 @@ def test_flights_drawn_at_another_rate_bring_the_same_light_everywhere(rate, flo
     3 mean free paths to the floor, of whose light half comes back, and one without an end."""
     one, sigma, steep = jnp.ones(DRAWS), 1.6, 0.8
     end = None if floor is None else jnp.asarray(floor)
-    domain = _paths.Domain(jnp.zeros(0), end, None)
-    tables, none = jnp.zeros((1, _sampling.BINS + 1)), jnp.zeros(0)
-    proposal = _paths.Proposal(A([sigma]), tables, A(0.5), none, A([sigma]))
+    domain = _random_walk.Domain(jnp.zeros(0), end, None)
+    tables, none = jnp.zeros((1, _random_numbers.BINS + 1)), jnp.zeros(0)
+    proposal = _random_walk.Proposal(A([sigma]), tables, A(0.5), none, A([sigma]))
     direction = (0.6 * one, 0.0 * one, steep * one)
     blank = (0.0 * one,)
-    lanes = _paths.Lanes((0.0 * one,) * 3, direction, one, blank, blank, 0.0 * one, None, None)
-    words = _sampling.key_words(jax.random.key(8))
-    u = _sampling.uniforms(jnp.arange(DRAWS, dtype=jnp.uint32), jnp.uint32(0), words, jnp.float64)
-    ahead = _paths.flight(domain, proposal, lanes)
-    after, vertex = _paths.advance(domain, proposal, lanes, ahead, u, rate * one)
+    lanes = _random_walk.Lanes(
+        (0.0 * one,) * 3, direction, one, blank, blank, 0.0 * one, None, None
+    )
+    words = _random_numbers.key_words(jax.random.key(8))
+    u = _random_numbers.uniforms(
+        jnp.arange(DRAWS, dtype=jnp.uint32), jnp.uint32(0), words, jnp.float64
+    )
+    ahead = _random_walk.flight(domain, proposal, lanes)
+    after, vertex = _random_walk.advance(domain, proposal, lanes, ahead, u, rate * one)
     edges = np.linspace(0.0, 1.5, 16)
     z, weight = np.asarray(after.position[2]), np.asarray(after.weight)
     bins = (np.digitize(z, edges) - 1)[None, :] == np.arange(15)[:, None]
@@ -102,13 +108,13 @@ def test_flights_drawn_at_another_rate_bring_the_same_light_everywhere(rate, flo
 def test_lanes_share_the_strata_of_every_number():
     """Each lane of a unit has one stratum to itself; over units, one lane's numbers are uniform,
     singly and in pairs, and so are those of two lanes and two events in different strata."""
-    words, units = _sampling.key_words(jax.random.key(8)), jnp.arange(2**14, dtype=jnp.uint32)
+    words, units = _random_numbers.key_words(jax.random.key(8)), jnp.arange(2**14, dtype=jnp.uint32)
     path = units[:, None] * jnp.uint32(32) + jnp.arange(32, dtype=jnp.uint32)[None]
 
     def draw(event):
         event = jnp.uint32(event)
-        u = _sampling.uniforms(path, event, words, jnp.float64)
-        return [np.asarray(v) for v in _sampling.spread(u, units, event, words)]
+        u = _random_numbers.uniforms(path, event, words, jnp.float64)
+        return [np.asarray(v) for v in _random_numbers.spread(u, units, event, words)]
 
     first, second = draw(0), draw(1)
     for number in first:
@@ -126,16 +132,16 @@ def test_the_net_is_sobols_in_the_order_of_its_first_coordinate():
     for count in (1, 32, 1024):
         points = qmc.Sobol(7, scramble=False, bits=32).random(count)
         exact = points[np.argsort(points[:, 0])][:, 1:].T
-        own = _ordered._reversed(_ordered.net(count)) / 2.0**32
+        own = _array_rqmc._reversed(_array_rqmc.net(count)) / 2.0**32
         np.testing.assert_array_equal(own, exact)
 
 
 def test_scrambled_points_stay_a_net_and_are_uniform_one_by_one():
     """Neighbours in a row share the unit interval; over units, one lane's numbers are uniform,
     singly and in pairs, within an event and between two."""
-    words, units = _sampling.key_words(jax.random.key(9)), jnp.arange(2**14, dtype=jnp.uint32)
+    words, units = _random_numbers.key_words(jax.random.key(9)), jnp.arange(2**14, dtype=jnp.uint32)
     first, second = (
-        np.asarray(_ordered.points(units, jnp.uint32(t), words, 32, jnp.float64)) for t in (0, 1)
+        np.asarray(_array_rqmc.points(units, jnp.uint32(t), words, 32, jnp.float64)) for t in (0, 1)
     )
     for row in (2, 4, 8, 16, 32):
         strata = np.sort((row * first[0]).astype(int).reshape(len(units), -1, row), axis=2)
@@ -153,7 +159,7 @@ def test_scrambled_points_stay_a_net_and_are_uniform_one_by_one():
 def test_places_follow_the_curve():
     """A permutation by unit; lanes of one quarter of the square stand together."""
     height, steep = np.random.default_rng(1).uniform(size=(2, 3, 64))
-    place = np.asarray(_ordered.places(jnp.asarray(height), jnp.asarray(steep)))
+    place = np.asarray(_array_rqmc.places(jnp.asarray(height), jnp.asarray(steep)))
     np.testing.assert_array_equal(np.sort(place, axis=1), np.tile(np.arange(64), (3, 1)))
     quarter = (2 * steep).astype(int) * 2 + (2 * height).astype(int)
     along = np.take_along_axis(quarter, place, axis=1)
@@ -163,10 +169,10 @@ def test_places_follow_the_curve():
 def test_draws_of_neighbours_and_events_are_unrelated():
     """Correlation between the numbers of one draw, of neighbouring paths and of successive
     events, and the pairs' chi-squared on a grid."""
-    words = _sampling.key_words(jax.random.key(7))
+    words = _random_numbers.key_words(jax.random.key(7))
     paths = jnp.arange(DRAWS, dtype=jnp.uint32)
-    first = np.asarray(_sampling.uniforms(paths, jnp.uint32(0), words, jnp.float64))
-    second = np.asarray(_sampling.uniforms(paths, jnp.uint32(1), words, jnp.float64))
+    first = np.asarray(_random_numbers.uniforms(paths, jnp.uint32(0), words, jnp.float64))
+    second = np.asarray(_random_numbers.uniforms(paths, jnp.uint32(1), words, jnp.float64))
     pairs = [(first[i], first[j]) for i in range(4) for j in range(i)]
     pairs += [(first[i], second[i]) for i in range(4)]
     pairs += [(first[i][1:], first[i][:-1]) for i in range(4)]

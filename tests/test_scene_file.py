@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import oceaninv as oi
-from oceaninv import _toml_section, water_file
+from oceaninv.scene import _toml_section, scene_file_water
 
 SCENES = sorted((Path(__file__).parents[1] / "scenes").glob("*.toml"))
 TEXT = """
@@ -149,7 +149,7 @@ MEDIA = {
 def test_media(tmp_path, keys):
     """The medium that a file asks for; what it does to light is tested with `media`."""
     (tmp_path / "water.toml").write_text(keys)
-    found = water_file._medium(_toml_section.read(tmp_path / "water.toml"))
+    found = scene_file_water._medium(_toml_section.read(tmp_path / "water.toml"))
     pairs = zip(jax.tree.leaves(found), jax.tree.leaves(MEDIA[keys]()), strict=True)
     assert all(np.array_equal(one, other) for one, other in pairs)
 

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 import oceaninv as oi
-from oceaninv.transport import shadows
-from oceaninv.transport._lamplight import _lit
+from oceaninv.transport.objects import shadows
+from oceaninv.transport.objects._lamplight import _lit
 
 F = jnp.asarray([1.0, 2.0])
 RHO = jnp.asarray([0.5, 0.2])

@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from fitting import Profile, cli, smooth_kd
-from fitting.smooth import _paths
+from fitting import Profile, smooth_kd
+from fitting.commands import main as cli
+from fitting.profile.kd.smooth_kd import _paths
 
 DEPTH = np.linspace(0.3, 45.0, 120)
 FINE = np.linspace(0.0, 45.0, 4501)

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from fitting.solve import (
+from fitting.core.least_squares import (
     RESULTS,
     covariance,
     cross_check,

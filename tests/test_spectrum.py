@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from oceaninv import spectrum, tables
+from oceaninv.foundation import spectrum, tables
 
 GRIDS = {
     "equal": spectrum.bands(12),

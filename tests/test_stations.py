@@ -3,11 +3,12 @@
 import numpy as np
 import pytest
 
-from fitting import Profile, cli, fit_profile
-from fitting._seabass import read_seabass
-from fitting.readers import read_sheet
-from fitting.spectra_file import write_spectra
-from fitting.stations import merged
+from fitting import Profile, fit_profile
+from fitting.commands import main as cli
+from fitting.files.seabass import read_seabass
+from fitting.images.photo_csv import read_sheet
+from fitting.profile.merge_casts import merged
+from fitting.report.spectra_table import write_spectra
 
 BANDS, KD = np.array([443.0, 490.0, 555.0]), np.array([0.2, 0.1, 0.15])
 SUN = np.array([1.0, 1.2, 1.1])

@@ -10,7 +10,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from oceaninv import spectrum, tables, water
+from oceaninv import water
+from oceaninv.foundation import spectrum, tables
 
 ROOT = Path(__file__).parents[1]
 SHARED = ROOT.parent / "shared" / "data"

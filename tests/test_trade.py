@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 
 import oceaninv as oi
-from fitting import cli, fit_trade, trade
-from fitting._ladder import Model, ladder, references, through
+from fitting.commands import fit_trade_off
+from fitting.commands import main as cli
+from oceaninv.fidelity import trade_off
+from oceaninv.fidelity.candidate_models import Model, ladder, references, through
 from tests.test_cli import CAST
 
 SCENE = """
@@ -38,27 +40,27 @@ def file(tmp_path):
 
 
 def test_the_front_is_what_nothing_beats(tmp_path):
-    rows = [trade.Row(name, s, 0.0, e) for name, s, e in (
+    rows = [trade_off.Row(name, s, 0.0, e) for name, s, e in (
         ("slow, worse", 3.0, 0.5), ("fast", 1.0, 0.4), ("slow, better", 2.0, 0.1)
     )]  # fmt: skip
-    front = trade._front(rows)
+    front = trade_off._front(rows)
     assert [row.model for row in front] == ["fast", "slow, better", "slow, worse"]
     assert [row.best for row in front] == [True, True, False]
-    found = trade.Trade("sea", "photograph", "exact", 0.001, front)
-    table = trade.how_to_choose([found], (0.45, 0.2, 0.01))
+    found = trade_off.Trade("sea", "photograph", "exact", 0.001, front)
+    table = trade_off.how_to_choose([found], (0.45, 0.2, 0.01))
     assert "| sea | photograph | fast, 1e+03 ms | slow, better, 2e+03 ms | none | 0.1 % |" in table
-    trade.save_rows(tmp_path / "sea.csv", found)
-    assert trade.load_rows(tmp_path / "sea.csv") == found
+    trade_off.save_rows(tmp_path / "sea.csv", found)
+    assert trade_off.load_rows(tmp_path / "sea.csv") == found
 
 
 def test_errors_of_photographs_are_of_channels(file):
     """A model of some bands is judged by the channels that it makes of them."""
     found = oi.load_scene(file)
-    judge = trade._Judge(found.scene, found.camera, "photograph")
+    judge = trade_off._Judge(found.scene, found.camera, "photograph")
     even = np.ones((len(judge.origin), 4))
     assert judge.error(1.1 * even, even) == pytest.approx(0.1)
     assert judge.error(even[:, :3], even, (0, 1, 3)) < 0.01
-    judge = trade._Judge(found.scene, found.camera, "irradiance")
+    judge = trade_off._Judge(found.scene, found.camera, "irradiance")
     light = np.exp(-np.arange(10.0))[:, None] * np.ones(4)
     wrong = light.copy()
     wrong[2], wrong[9] = 1.2 * wrong[2], 9.0  # the last is below the 1 % level
@@ -86,10 +88,10 @@ def test_trade_writes_rows_and_a_picture(file, tmp_path, monkeypatch):
     """A few of the models, beside a reference that is not the real one."""
     few = {"printed closure", "TwoStream", "TwoStream, float32", "MonteCarlo(64, 4)"}
     monkeypatch.setattr(
-        trade, "ladder", lambda *given: [model for model in ladder(*given) if model.name in few]
+        trade_off, "ladder", lambda *given: [model for model in ladder(*given) if model.name in few]
     )
     monkeypatch.setattr(
-        trade,
+        trade_off,
         "references",
         lambda _, quantity: [
             Model(f"exact {n}", through(oi.PlaneParallel(n), quantity)) for n in (6, 4)
@@ -110,8 +112,8 @@ def test_trade_writes_rows_and_a_picture(file, tmp_path, monkeypatch):
 @pytest.mark.slow
 def test_the_trade_of_a_fit_names_shifts_and_savings(tmp_path, monkeypatch):
     """Of one model only: it is the dearest."""
-    monkeypatch.setattr(fit_trade, "TRANSPORTS", (oi.TwoStream(),))
-    monkeypatch.setattr(fit_trade, "TOLERANCES", ())
+    monkeypatch.setattr(fit_trade_off, "TRANSPORTS", (oi.TwoStream(),))
+    monkeypatch.setattr(fit_trade_off, "TOLERANCES", ())
     stem = tmp_path / "fit"
     assert cli.run(["trade", "--fit", CAST, "-o", str(stem), "--repeats", "1"]) == 0
     (row,) = csv.DictReader(stem.with_suffix(".csv").read_text().splitlines())

@@ -13,7 +13,7 @@ import pytest
 from mpmath import mpf
 
 import oceaninv as oi
-from oceaninv.transport.two_stream import solve
+from oceaninv.transport.closed_form.two_stream import solve
 from tests import _literal
 from tests.acceptance import two_stream_accuracy as accuracy
 

@@ -8,11 +8,12 @@ import pytest
 import xarray as xr
 from scipy.stats import binom
 
-from fitting import Profile, cli, fit_profile, fit_profiles
-from fitting._par import light_of_sensor, light_quantities, photon_weights
-from fitting._upward import _reflected
-from fitting.casts import Reading, read_cast
-from oceaninv.optics import fresnel_from_air
+from fitting import Profile, fit_profile, fit_profiles
+from fitting.commands import main as cli
+from fitting.files.cast_file import Reading, read_cast
+from fitting.profile.kd.par_depths import light_of_sensor, light_quantities, photon_weights
+from fitting.profile.kd.reflectances import _reflected
+from oceaninv.foundation.interface_optics import fresnel_from_air
 
 BANDS = np.array([412.0, 490.0, 555.0])
 DEPTH = np.linspace(0.4, 12.0, 40)

@@ -6,7 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from oceaninv import tables, water
+from oceaninv import water
+from oceaninv.foundation import tables
 
 CHECK = Path(__file__).parents[1].parent / "shared" / "data" / "bw_seawater_check_values.csv"
 WAVELENGTH = np.arange(400.0, 701.0, 25.0)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import oceaninv as oi
-from oceaninv import waves
+from oceaninv.scene import waves
 
 INDEX = jnp.asarray(1.34)
 

@@ -36,8 +36,8 @@ def check_command(
 def _charts(path: Path) -> list[tuple[bool, str]]:
     import numpy as np
 
-    from fitting.readers import read_sheet
-    from fitting.verdicts import FLASH, linearity, of_range
+    from fitting.images.photo_csv import read_sheet
+    from fitting.images.quality_checks import FLASH, linearity, of_range
 
     sheet = read_sheet(path)
     sheet.require("kind", "chart", "reflectance", "R", "G", "B")
@@ -73,8 +73,8 @@ def _charts(path: Path) -> list[tuple[bool, str]]:
 
 
 def _picture(path: Path, encoding: str | None, range_map: Path | None) -> list[tuple[bool, str]]:
-    from fitting.photographs import read_photograph, read_range
-    from fitting.verdicts import of_picture, of_range
+    from fitting.images.photograph_file import read_photograph, read_range
+    from fitting.images.quality_checks import of_picture, of_range
 
     photo = read_photograph(path, encoding)
     if range_map is None:

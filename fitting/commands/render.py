@@ -5,7 +5,7 @@ from typing import Annotated, Any
 
 import typer
 
-from fitting.commands.common import Overwrite, check_outputs
+from fitting.commands.shared_options import Overwrite, check_outputs
 
 _TRANSPORTS = ("two-stream", "four-stream", "kd", "plane-parallel", "monte-carlo")
 
@@ -46,8 +46,8 @@ def render_command(
     from rich.console import Console
     from rich.progress import Progress
 
-    from fitting import render
     from oceaninv import load_scene
+    from oceaninv.rendering import render
 
     if output.suffix.lower() not in (".exr", ".tif", ".tiff", ".png"):
         raise ValueError(f"--output is {output}; it must end in .exr, .tif or .png.")

@@ -11,12 +11,17 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from oceaninv._numerics import safe_sqrt
-from oceaninv.iops import IOPs
-from oceaninv.optics import Rays, fresnel_from_air, fresnel_from_water, refracted_cosine
-from oceaninv.scene import Scene
-from oceaninv.transport import _discrete_ordinates as do
-from oceaninv.transport.plane_parallel import PlaneParallel
+from oceaninv.foundation.interface_optics import (
+    Rays,
+    fresnel_from_air,
+    fresnel_from_water,
+    refracted_cosine,
+)
+from oceaninv.foundation.numerics import safe_sqrt
+from oceaninv.scene.scene import Scene
+from oceaninv.transport.plane_parallel import _layer_modes
+from oceaninv.transport.plane_parallel.plane_parallel import PlaneParallel
+from oceaninv.water.iops import IOPs
 
 _STEPS = 7  # of Newton's method
 _HALVINGS = 50
@@ -119,7 +124,7 @@ def kd_asymptotic(water: IOPs, moments: int = 64) -> Float[Array, " wl"]:
     """
 
     def one(a, scattering):
-        layer = do.scale_layer(a, scattering, jnp.ones_like(a))
+        layer = _layer_modes.scale_layer(a, scattering, jnp.ones_like(a))
         scattered = jnp.concatenate([layer.gain, jnp.zeros(_TAIL, dtype=layer.gain.dtype)])
         degree = jnp.arange(scattered.shape[0], dtype=scattered.dtype)
         height = ((2 * degree + 1) * (1 - scattered)).at[0].set(layer.lost)

@@ -7,9 +7,9 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Key
 
-from oceaninv.iops import IOPs
-from oceaninv.optics import Rays
-from oceaninv.scene import Scene
+from oceaninv.foundation.interface_optics import Rays
+from oceaninv.scene.scene import Scene
+from oceaninv.water.iops import IOPs
 
 
 class Estimate(eqx.Module):

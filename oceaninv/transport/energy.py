@@ -6,18 +6,18 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Key, UInt32
 
-from oceaninv._numerics import safe_sqrt
-from oceaninv.inelastic import AbstractInelastic, ChlorophyllFluorescence, Raman
-from oceaninv.iops import IOPs
-from oceaninv.scene import Scene
-from oceaninv.spectrum import band_edges
-from oceaninv.transport import _tracks, _weights
-from oceaninv.transport._paths import Proposal
-from oceaninv.transport._sampling import key_words
-from oceaninv.transport._tracks import Tracks
-from oceaninv.transport._walks import Plan
+from oceaninv.foundation.numerics import safe_sqrt
+from oceaninv.foundation.spectrum import band_edges
+from oceaninv.scene.scene import Scene
 from oceaninv.transport.base import Estimate
-from oceaninv.transport.monte_carlo import MonteCarlo
+from oceaninv.transport.monte_carlo import _energy_tally, _weights
+from oceaninv.transport.monte_carlo._energy_tally import Tracks
+from oceaninv.transport.monte_carlo._event_loop import Plan
+from oceaninv.transport.monte_carlo._random_numbers import key_words
+from oceaninv.transport.monte_carlo._random_walk import Proposal
+from oceaninv.transport.monte_carlo.monte_carlo import MonteCarlo
+from oceaninv.water.inelastic import AbstractInelastic, ChlorophyllFluorescence, Raman
+from oceaninv.water.iops import IOPs
 
 
 class EnergyBudget(eqx.Module):
@@ -191,14 +191,14 @@ def _budget(
     width = jnp.ones(1, dtype)
     if len(scene.wavelength) > 1:
         width = jnp.asarray(np.diff(band_edges(scene.wavelength)), dtype)
-    parts, gone = _tracks.elastic(scene, words, plan, proposal, width)
+    parts, gone = _energy_tally.elastic(scene, words, plan, proposal, width)
     parts = [_balanced(scene, part) for part in parts]
     first = jax.tree.map(lambda *leaves: sum(leaves[1:], leaves[0]), *parts)
     entered = jnp.mean(first.entered, axis=0)
     whole = jnp.sum(entered)
     every = [_events(scene, first)]
     if scene.inelastic is not None:
-        for tracks in _tracks.inelastic(scene, words, plan, proposal, width, generations):
+        for tracks in _energy_tally.inelastic(scene, words, plan, proposal, width, generations):
             tracks = _scaled(scene, tracks, jnp.mean(every[-1].emitted, axis=0))
             every.append(_events(scene, tracks))
     total = jax.tree.map(lambda *leaves: sum(leaves[1:], leaves[0]), *every)

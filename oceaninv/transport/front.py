@@ -8,14 +8,14 @@ import numpy as np
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
-from oceaninv.camera import Camera
-from oceaninv.optics import Rays
-from oceaninv.range_map import RangeMap
-from oceaninv.scene import Scene
+from oceaninv.foundation.interface_optics import Rays
+from oceaninv.scene.camera import Camera
+from oceaninv.scene.range_map import RangeMap
+from oceaninv.scene.scene import Scene
 from oceaninv.transport.base import AbstractTransport, Estimate, Irradiance, homogeneous
-from oceaninv.transport.ranged import ranged_radiance
-from oceaninv.transport.shadows import Shadows
-from oceaninv.transport.two_stream import TwoStream
+from oceaninv.transport.closed_form.two_stream import TwoStream
+from oceaninv.transport.objects.range_map_radiance import ranged_radiance
+from oceaninv.transport.objects.shadows import Shadows
 
 
 def radiance(

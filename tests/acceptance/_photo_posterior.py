@@ -20,8 +20,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from fitting.regions import Region
-from fitting.solve import value_and_jacobian
+from fitting.core.least_squares import value_and_jacobian
+from fitting.core.likelihood_regions import Region
 from tests.acceptance._photo_protocols import Setup, by_chunks
 
 # Draws a round, rounds after the first, draws kept.

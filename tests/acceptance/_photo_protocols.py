@@ -12,14 +12,14 @@ import numpy as np
 
 import oceaninv as oi
 from fitting import Background, Chart, Photo
-from fitting._photo_problem import predict_all
-from fitting._valley import followed, walk
-from fitting.parameters import Parameter, Parameters, Prior
-from fitting.photo import PhotoProblem, prepare, search
-from fitting.posterior import amount_bias
-from fitting.quantities import water_quantities
-from fitting.regions import held, whitening
-from fitting.solve import covariance, curvature, value_and_jacobian
+from fitting.core.least_squares import covariance, curvature, value_and_jacobian
+from fitting.core.likelihood_regions import held, whitening
+from fitting.core.parameters import Parameter, Parameters, Prior
+from fitting.core.profile_likelihood import followed, walk
+from fitting.core.result import amount_bias
+from fitting.photo.fit_photo import PhotoProblem, prepare, search
+from fitting.photo.problem import predict_all
+from fitting.water_model.quantities import water_quantities
 from tests.acceptance.photo_statistics import WAVELENGTH, patches
 
 CAMERA, SUN, CHUNK = "Nikon D850", 40.0, 25
@@ -336,7 +336,8 @@ def bound(made: Setup, x: np.ndarray, step: float = 1e-5) -> np.ndarray:
 
 
 def losses(made: Setup, seen, prior: Prior, found, target, picks) -> np.ndarray:
-    """(draw, pick) losses of `fitting.regions.LikelihoodRegion` with the picked of NAMES held at
+    """(draw, pick) losses of `fitting.core.likelihood_regions.LikelihoodRegion` with the picked of
+    NAMES held at
     `target` (draw, NAMES)."""
     out = np.zeros((len(seen), len(picks)))
     for d in range(len(seen)):

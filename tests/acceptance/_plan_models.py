@@ -5,8 +5,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from oceaninv.fidelity import _errors as errors
-from oceaninv.fidelity import choice as planning
+from oceaninv.fidelity import error_model as errors
+from oceaninv.fidelity import planning
 from tests.acceptance import _plan_scenes as scenes
 
 QUANTITIES = planning.QUANTITIES

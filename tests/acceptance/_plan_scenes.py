@@ -21,13 +21,13 @@ import jax.numpy as jnp
 import numpy as np
 
 import oceaninv as oi
-from oceaninv.fidelity import choice
+from oceaninv.fidelity import planning
 
 WAVELENGTH = np.linspace(400.0, 700.0, 8)
 REFERENCES = {"irradiance": oi.PlaneParallel(64, 1), "radiance": oi.PlaneParallel(64, 40)}
 DIRECTIONS, CHUNK = 20, 10
 # What plan() may choose for water alone; photographs are made of radiance.
-RUNS = {quantity: choice.LADDERS[quantity] for quantity in ("irradiance", "radiance")}
+RUNS = {quantity: planning.LADDERS[quantity] for quantity in ("irradiance", "radiance")}
 
 
 class Draw(eqx.Module):

@@ -20,7 +20,7 @@ from pathlib import Path
 import numpy as np
 from scipy.optimize import nnls
 
-from oceaninv.tables import load
+from oceaninv.foundation.tables import load
 
 NEEDED = (412, 440, 488, 510, 555, 676)
 SLOPES = np.linspace(0.008, 0.022, 15)

@@ -18,7 +18,7 @@ QUICK_POINTS, SLOW_POINTS, BATCH = 2000, 1000, 1000
 
 
 def main() -> int:
-    from fitting.cli import quick_compilation
+    from fitting.commands.main import quick_compilation
 
     quick_compilation()
     jax.config.update("jax_enable_x64", True)

@@ -29,7 +29,7 @@ def profiles():
 
     import oceaninv as oi
     from fitting import Profile
-    from fitting.casts import read_cast
+    from fitting.files.cast_file import read_cast
 
     wavelength = oi.spectrum.bands(7)
     rng = np.random.default_rng(5)
@@ -49,8 +49,8 @@ def photographs():
     import jax.numpy as jnp
 
     import oceaninv as oi
-    from fitting.photo import predict, prepare
-    from fitting.readers import read_photo
+    from fitting.images.photo_csv import read_photo
+    from fitting.photo.fit_photo import predict, prepare
     from tests.test_photo import photo
 
     chlorophyll, cdom, detritus = WATERS[1]
@@ -80,7 +80,7 @@ def highest(full, lean):
     of the mode found from the cheap fit's end lies below that found from the priors' centres."""
     import equinox as eqx
 
-    from fitting.solve import covariance, least_squares
+    from fitting.core.least_squares import covariance, least_squares
 
     @eqx.filter_jit
     def again(problem, start):
@@ -115,17 +115,17 @@ def row(name: str, fit, data, exact) -> str:
 
 def main():
     jax.config.update("jax_enable_x64", True)
-    import fitting.photo
-    import fitting.profile
+    import fitting.photo.fit_photo
+    import fitting.profile.fit_profile
     import oceaninv as oi
     from fitting import fit_photo, fit_profile
-    from fitting._planned import EXACT
-    from oceaninv.fidelity.choice import rung
+    from fitting.core.multifidelity import EXACT
+    from oceaninv.fidelity.planning import rung
 
     kinds = {"profile": (fit_profile, profiles), "photo": (fit_photo, photographs)}
     dials = [word for word in sys.argv[1:] if word not in kinds]
     exact = oi.PlaneParallel(*(int(n) for n in dials[0].split(","))) if dials else EXACT
-    fitting.photo.EXACT = fitting.profile.EXACT = exact
+    fitting.photo.fit_photo.EXACT = fitting.profile.fit_profile.EXACT = exact
     for kind in [word for word in sys.argv[1:] if word in kinds] or kinds:
         fit, cases = kinds[kind]
         lines = [
@@ -149,7 +149,7 @@ def main():
 
 
 if __name__ == "__main__":
-    from fitting.cli import quick_compilation
+    from fitting.commands.main import quick_compilation
 
     quick_compilation()
     main()

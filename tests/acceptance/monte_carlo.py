@@ -21,7 +21,7 @@ import numpy as np
 from scipy import stats
 
 import oceaninv as oi
-from oceaninv.phase import HenyeyGreenstein
+from oceaninv.water.phase import HenyeyGreenstein
 
 REFERENCE = Path(__file__).parents[2].parent / "shared" / "reference" / "radiative_transfer.json"
 

@@ -7,7 +7,8 @@ Prints the table and writes photo_assumptions.md beside this file; about ten min
 ColorCheckers at 0.5, 1 and 2 m and open water at 5 m, no noise, everything unknown that `fit_photo`
 leaves open.  Truth: a water by the fit's model but for one assumption, either one that has a prior,
 at one standard deviation from its centre (`Fit.sensitivity`, linearised), or a table or shape that
-is fixed (`fitting.assumptions`, fitted anew).  Priors of constituents are centred on the water:
+is fixed (`fitting.photo.assumptions`, fitted anew).  Priors of constituents are centred on the
+water:
 elsewhere they are a second assumption that does not hold, and pull by as much as the first leaves
 open.  How often the tables name the first one then, too, is counted last.
 
@@ -24,11 +25,12 @@ import jax.numpy as jnp
 import numpy as np
 
 import oceaninv as oi
-from fitting import Background, Chart, Fit, Photo, assumptions, fit_photo
-from fitting._assumed import ALTERNATIVES, PREFIX
-from fitting.cli import quick_compilation
-from fitting.photo import WAVELENGTH, predict, prepare
-from fitting.quantities import water_quantities
+from fitting import Background, Chart, Fit, Photo, fit_photo
+from fitting.commands.main import quick_compilation
+from fitting.photo import assumptions
+from fitting.photo.fit_photo import WAVELENGTH, predict, prepare
+from fitting.water_model.alternatives import ALTERNATIVES, PREFIX
+from fitting.water_model.quantities import water_quantities
 from tests.acceptance._photo_protocols import CONSTITUENTS, NAMES, QUANTITIES, WATERS, photo
 
 RANGES = (0.5, 1.0, 2.0)

@@ -19,11 +19,11 @@ import numpy as np
 
 import oceaninv as oi
 from fitting import Background, Chart, Photo, fit_photo, read_photograph, read_range
-from fitting.charts import read_chart
-from fitting.cli import quick_compilation
-from fitting.photo import predict, prepare
-from fitting.posterior import quantile
-from fitting.solve import least_squares
+from fitting.commands.main import quick_compilation
+from fitting.core.least_squares import least_squares
+from fitting.core.result import quantile
+from fitting.images.chart_reading import read_chart
+from fitting.photo.fit_photo import predict, prepare
 
 SHARED = Path(__file__).parents[3] / "shared" / "photos"
 # Column and row of the corners of the patches, by eye.

@@ -30,10 +30,10 @@ import jax
 import numpy as np
 from scipy.stats import chi2, chisquare, norm
 
-from fitting.cli import quick_compilation
-from fitting.parameters import Prior
-from fitting.posterior import _identifiable as identifiable
-from fitting.posterior import half_width
+from fitting.commands.main import quick_compilation
+from fitting.core.parameters import Prior
+from fitting.core.result import _identifiable as identifiable
+from fitting.core.result import half_width
 from tests.acceptance._photo_posterior import region_of
 from tests.acceptance._photo_posterior import sample as posterior
 from tests.acceptance._photo_protocols import (

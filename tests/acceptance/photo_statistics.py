@@ -10,7 +10,8 @@ and 4 m and open water, horizontally; exposure and white balance unknown; 1 % no
 
 - Matched: coastal water (chlorophyll 1.5 mg/m3, CDOM 0.15 /m, detritus 0.08 /m) by the fit's own
   model, every nuisance drawn from its prior.  The bound is Bayesian: information of the readings
-  (central finite differences of `fitting.photo.predict`) and of the priors, at each draw's truth.
+  (central finite differences of `fitting.photo.fit_photo.predict`) and of the priors, at each
+  draw's truth.
 - Mismatched: the exact photographs of `_mismatched.py`, fitted with the default model.
 - Mismatched, known: the same photographs by a user who knows that the light on the charts is within
   30 % of Ed, which is what was drawn.  By default it is known within a factor of e, for a chart may
@@ -35,12 +36,12 @@ from scipy.stats import binom
 
 import oceaninv as oi
 from fitting import Background, Chart, Photo
-from fitting.cli import quick_compilation
-from fitting.parameters import Prior
-from fitting.photo import WAVELENGTH, PhotoProblem, predict, prepare, search
-from fitting.posterior import amount_bias, half_width
-from fitting.quantities import water_quantities
-from fitting.solve import covariance, curvature, value_and_jacobian
+from fitting.commands.main import quick_compilation
+from fitting.core.least_squares import covariance, curvature, value_and_jacobian
+from fitting.core.parameters import Prior
+from fitting.core.result import amount_bias, half_width
+from fitting.photo.fit_photo import WAVELENGTH, PhotoProblem, predict, prepare, search
+from fitting.water_model.quantities import water_quantities
 from tests.acceptance import _mismatched
 
 DRAWS, CHUNK, NOISE = 200, 25, 0.01

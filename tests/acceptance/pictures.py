@@ -25,8 +25,8 @@ import jax.numpy as jnp  # noqa: E402
 import numpy as np  # noqa: E402
 
 import oceaninv as oi  # noqa: E402
-from oceaninv.bio_optics import jerlov_types  # noqa: E402
-from oceaninv.transport.kd import monzon2024  # noqa: E402
+from oceaninv.transport.closed_form.kd import monzon2024  # noqa: E402
+from oceaninv.water.bio_optics import jerlov_types  # noqa: E402
 
 SCENE = Path(__file__).parents[2] / "scenes" / "three_spheres.toml"
 WATERS = (("3C", 3.0), ("3C", 9.0), ("I", 5.0), ("IA", 9.0), ("IB", 5.0), ("II", 3.0))
@@ -78,7 +78,7 @@ def printed(scene, rays):
     c = water.c[None, :]
     start = z[:, None] * c / mu0
     stop = start + c * (length * (1 + down / mu0))[:, None]
-    from oceaninv._numerics import exp_mean
+    from oceaninv.foundation.numerics import exp_mean
 
     single = beta * beam[None, :] * length[:, None] * exp_mean(start, stop)
     through = jnp.exp(-c * length[:, None])

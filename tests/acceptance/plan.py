@@ -20,8 +20,8 @@ import jax
 import numpy as np
 
 import oceaninv as oi
-from oceaninv.fidelity import _errors as errors
-from oceaninv.fidelity import choice as planning
+from oceaninv.fidelity import error_model as errors
+from oceaninv.fidelity import planning
 from tests.acceptance import _plan_models as models
 from tests.acceptance import _plan_scenes as scenes
 

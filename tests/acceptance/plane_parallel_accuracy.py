@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import oceaninv as oi
-from oceaninv.phase import HenyeyGreenstein, Isotropic, Seawater, petzold
+from oceaninv.water.phase import HenyeyGreenstein, Isotropic, Seawater, petzold
 
 ROOT = Path(__file__).parents[2]
 REFERENCE = ROOT.parent / "shared" / "reference" / "radiative_transfer.json"

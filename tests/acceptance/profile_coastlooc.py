@@ -27,9 +27,9 @@ import numpy as np
 
 import oceaninv as oi
 from fitting import fit_apparent
-from fitting.parameters import water_iops
-from fitting.posterior import quantile
-from oceaninv.attenuation import kd_lee2005, kd_morel_maritorena2001
+from fitting.core.parameters import water_iops
+from fitting.core.result import quantile
+from oceaninv.water.attenuation import kd_lee2005, kd_morel_maritorena2001
 
 LEAST_BANDS = 6
 RANGE = (405.0, 670.0)

@@ -20,8 +20,8 @@ from scipy.stats import binom, norm
 
 import oceaninv as oi
 from fitting import Profile, fit_profile
-from fitting.layered import layer_unknowns, layers_of
-from fitting.parameters import Parameters
+from fitting.core.parameters import Parameters
+from fitting.water_model.layered_water import layer_unknowns, layers_of
 
 BANDS = np.array([412.0, 443.0, 490.0, 510.0, 555.0, 620.0, 665.0])
 DEPTH = np.linspace(0.2, 15.0, 60)

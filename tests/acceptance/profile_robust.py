@@ -25,9 +25,9 @@ import numpy as np
 from scipy.stats import norm
 
 from fitting import Profile
-from fitting._bands import Lanes, fit_bands
-from fitting._upward import cast_of
-from fitting.posterior import quantile
+from fitting.core.result import quantile
+from fitting.profile.kd.band_fit import Lanes, fit_bands
+from fitting.profile.kd.reflectances import cast_of
 from tests.acceptance.profile_statistics import casts
 
 NOISE, DEPTHS, BANDS = 0.05, 60, np.array([443.0, 490.0, 555.0])

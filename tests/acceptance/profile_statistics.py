@@ -18,9 +18,9 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.stats import binom
 
-from fitting import _bands
-from fitting._bands import Lanes, fit_bands
-from fitting.posterior import quantile
+from fitting.core.result import quantile
+from fitting.profile.kd import band_fit
+from fitting.profile.kd.band_fit import Lanes, fit_bands
 
 CASTS = 2000
 DEPTHS = 64
@@ -74,8 +74,8 @@ def bound(log_surface, log_kd, depth, mask, floor, noise_known: bool, step: floa
 @contextlib.contextmanager
 def told():
     """A fit that is told that waves are independent and as strong at all depths."""
-    with mock.patch.multiple(_bands, _ODDS_CORRELATED=1e-200, _ODDS_RISING=1e-200):
-        yield jax.jit(jax.vmap(_bands._fit_lane))
+    with mock.patch.multiple(band_fit, _ODDS_CORRELATED=1e-200, _ODDS_RISING=1e-200):
+        yield jax.jit(jax.vmap(band_fit._fit_lane))
 
 
 def statistics(

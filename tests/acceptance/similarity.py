@@ -20,7 +20,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import oceaninv as oi
-from oceaninv.transport import _backward, _walks
+from oceaninv.transport.monte_carlo import _backward, _event_loop
 
 BANDS = np.array([550.0])  # one: after thousands of events no band's weights serve another
 MEDIA = {
@@ -53,14 +53,14 @@ def estimates(water, transport, seed):
 def tails() -> None:
     """Per run the value over the exact one, its stated error, the heaviest walk's share in the sum
     of squares, and Hill's tail exponent of the upper 50 walks."""
-    _walks.GROUP = _backward.GROUP = 1
-    estimate, seen = _walks.estimate, []
+    _event_loop.GROUP = _backward.GROUP = 1
+    estimate, seen = _event_loop.estimate, []
 
     def watched(sums, scene, plan):
         jax.debug.callback(lambda walks: seen.append(np.sort(walks)[::-1]), sums[0][:, 0, 0])
         return estimate(sums, scene, plan)
 
-    _walks.estimate = watched
+    _event_loop.estimate = watched
     water = MEDIA["first-year ice"]().iops(BANDS, shapes=1, fit=oi.media.fit_lobes)
     scene = oi.Scene(water, oi.Light(30.0, jnp.ones(len(BANDS))))
     rays = oi.Rays(jnp.zeros(3), jnp.asarray([[0.0, 0.0, 1.0]]))

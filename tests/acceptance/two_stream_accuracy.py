@@ -22,7 +22,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import oceaninv as oi
-from oceaninv.transport.kd import monzon2024
+from oceaninv.transport.closed_form.kd import monzon2024
 from tests._disort import deep_thickness, refracted_beam, solve
 
 WATERS = ("IB", "II", "III", "3C")

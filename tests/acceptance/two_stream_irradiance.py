@@ -17,7 +17,7 @@ import numpy as np
 from scipy.optimize import least_squares
 
 import oceaninv as oi
-from oceaninv.transport import two_stream
+from oceaninv.transport.closed_form import two_stream
 from tests.acceptance.two_stream_accuracy import (
     FLOOR_DEPTH,
     PHASES,

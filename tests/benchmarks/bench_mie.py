@@ -22,14 +22,14 @@ ROOT = Path(__file__).parents[2]
 sys.path.insert(0, str(ROOT))
 jax.config.update("jax_enable_x64", True)
 
-from oceaninv import _frisvad2007, mie, particles  # noqa: E402
+from oceaninv.mie import _frisvad2007_table, particles, sphere  # noqa: E402
 
 WAVELENGTH = np.linspace(400.0, 700.0, 16)
 RADIUS = np.geomspace(0.01, 100.0, 1000)
 
 
 def sections(particle, host, radius=RADIUS):
-    return mie.cross_sections(radius[None, :], WAVELENGTH[:, None], particle, host)
+    return sphere.cross_sections(radius[None, :], WAVELENGTH[:, None], particle, host)
 
 
 def five_derivatives():
@@ -38,7 +38,7 @@ def five_derivatives():
 
     def outputs(radius, n, k, host_n, host_k):
         particle, host = jax.lax.complex(n, k), jax.lax.complex(host_n, host_k)
-        return mie.cross_sections(radius, wavelength, particle, host, max_size=2300.0)
+        return sphere.cross_sections(radius, wavelength, particle, host, max_size=2300.0)
 
     @jax.jit
     def run(*point):
@@ -104,7 +104,7 @@ def scaling():
     print("largest x, 4096 spheres with x from x/2 to x: microseconds per sphere and 1000 x")
     for largest in (250.0, 500.0, 1000.0, 2000.0):
         x = np.linspace(largest / 2, largest, 4096)
-        _, best = race({"": lambda x=x: mie.efficiencies(x, 1.2)}, 3)
+        _, best = race({"": lambda x=x: sphere.efficiencies(x, 1.2)}, 3)
         print(f"{largest:8g}{best[''] / x.sum() * 1e9:10.2f}")
 
 
@@ -115,7 +115,7 @@ def accuracy():
         return
     reference = json.loads(path.read_text())
     wavelength = np.array(reference["wavelength_nm"], float)
-    host = _frisvad2007.index("brine", wavelength)
+    host = _frisvad2007_table.index("brine", wavelength)
     kinds = {
         "algae": particles.PowerLaw(3.6, 0.225, 100.0),
         "mineral": particles.PowerLaw(3.4, 0.01, 100.0),
@@ -128,7 +128,7 @@ def accuracy():
         for radii in (25, 50, 100, 200, 400, 800, 1600, 3200):
             populations = [
                 particles.Population(
-                    _frisvad2007.index(kind, wavelength), sizes, water[f"v_{short}"], radii
+                    _frisvad2007_table.index(kind, wavelength), sizes, water[f"v_{short}"], radii
                 )
                 for (kind, sizes), short in zip(kinds.items(), ("algal", "mineral"), strict=True)
             ]

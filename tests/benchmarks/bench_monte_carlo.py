@@ -16,7 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import oceaninv as oi
-from oceaninv.phase import HenyeyGreenstein
+from oceaninv.water.phase import HenyeyGreenstein
 
 WAVELENGTH = np.linspace(400.0, 690.0, 20)
 DEPTH, FLOOR, G = 10.0, 0.3, 0.8

@@ -29,9 +29,9 @@ import numpy as np
 
 import oceaninv as oi
 from fitting import Background, Chart, Photo, Pixels, fit_photo, fit_photos
-from fitting.photo import WAVELENGTH, _problem, predict, prepare
-from fitting.solve import value_and_jacobian
-from fitting.targets import target
+from fitting.core.least_squares import value_and_jacobian
+from fitting.images.chart_targets import target
+from fitting.photo.fit_photo import WAVELENGTH, _problem, predict, prepare
 from tests.test_photo import scenery
 
 RANGES = (1.0, 2.0, 4.0)

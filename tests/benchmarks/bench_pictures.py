@@ -26,7 +26,7 @@ import numba
 import numpy as np
 
 import oceaninv as oi
-from oceaninv.transport.kd import monzon2024
+from oceaninv.transport.closed_form.kd import monzon2024
 
 WIDTH, HEIGHT = 1920, 1080
 

@@ -22,13 +22,13 @@ import jax.numpy as jnp
 import numpy as np
 from PythonicDISORT.pydisort import pydisort
 
-from oceaninv.iops import IOPs, Layers
-from oceaninv.light import Light
-from oceaninv.optics import Rays
-from oceaninv.phase import HenyeyGreenstein, Seawater
-from oceaninv.scene import FlatSurface, Floor, Scene
-from oceaninv.transport.four_stream import FourStream
-from oceaninv.transport.plane_parallel import PlaneParallel
+from oceaninv.foundation.interface_optics import Rays
+from oceaninv.scene.light import Light
+from oceaninv.scene.scene import FlatSurface, Floor, Scene
+from oceaninv.transport.closed_form.four_stream import FourStream
+from oceaninv.transport.plane_parallel.plane_parallel import PlaneParallel
+from oceaninv.water.iops import IOPs, Layers
+from oceaninv.water.phase import HenyeyGreenstein, Seawater
 
 WAVELENGTH = np.linspace(400.0, 700.0, 20)
 DEPTHS = np.linspace(1.0, 19.0, 10)

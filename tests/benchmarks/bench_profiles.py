@@ -28,9 +28,9 @@ from scipy.optimize import curve_fit
 
 import oceaninv as oi
 from fitting import Profile, fit_profiles, stream_profiles
-from fitting._waters import curve
-from fitting.archive import Task, fit_archive
-from fitting.parameters import Parameters, water_unknowns
+from fitting.core.parameters import Parameters, water_unknowns
+from fitting.profile.archive import Task, fit_archive
+from fitting.profile.constituents.batched_search import curve
 
 CASTS, BANDS, DEPTHS = 1000, 7, 100
 LOOP = 100

@@ -1,0 +1,1 @@
+"""Measured a, b and c of a medium to what it holds."""

@@ -1,0 +1,183 @@
+"""`oceaninv fit-photo`."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from fitting.commands.shared_options import (
+    Output,
+    Overwrite,
+    SolarZenith,
+    Tolerance,
+    check_outputs,
+    preload,
+    print_water,
+    status,
+    with_endings,
+)
+
+
+def fit_photo_command(
+    paths: Annotated[
+        list[Path],
+        typer.Argument(help="csv of chart and background readings, one of each photograph."),
+    ],
+    depth: Annotated[
+        list[str],
+        typer.Option(help="Depth of the camera in m, as 5 or 5+-2; once, or once a photograph."),
+    ],
+    output: Output = None,
+    camera: Annotated[
+        str | None, typer.Option(help='Camera by name; "generic" if unknown.')
+    ] = None,
+    solar_zenith: SolarZenith = None,
+    azimuth: Annotated[
+        float | None,
+        typer.Option(help="Heading relative to the sun, degrees: 180 with the sun behind."),
+    ] = None,
+    matrix: Annotated[
+        bool, typer.Option(help="Free 3 x 3 colour matrix (raw developer unknown).")
+    ] = False,
+    know: Annotated[
+        list[str] | None,
+        typer.Option(help="Value known otherwise, as cdom=0.12+-0.01 or Kd_490=0.09+-0.01."),
+    ] = None,
+    robust: Annotated[
+        float | None,
+        typer.Option(help="Standard deviations beyond which a reading counts linearly."),
+    ] = None,
+    tolerance: Tolerance = None,
+    response_shift: Annotated[
+        float, typer.Option(help="Standard deviation (nm) of an unknown shift of the response.")
+    ] = 0.0,
+    picture_of: Annotated[
+        Path | None, typer.Option("--picture", help="The photograph itself, to take its water out.")
+    ] = None,
+    range_map: Annotated[Path | None, typer.Option(help="Range map of --picture.")] = None,
+    pixels: Annotated[
+        bool, typer.Option("--pixels", help="Fit what is seen in --picture, too, unknown as it is.")
+    ] = False,
+    encoding: Annotated[
+        str | None, typer.Option(help="linear or sRGB, for a --picture that does not say.")
+    ] = None,
+    report: Annotated[
+        bool, typer.Option("--report", help="Write STEM.html, a page with everything in it.")
+    ] = False,
+    sample: Annotated[
+        bool, typer.Option(help="Draw from the posterior (NUTS; minutes, needs blackjax).")
+    ] = False,
+    overwrite: Overwrite = False,
+) -> None:
+    """Fit the water's constituents to readings of charts and open water in photographs."""
+    from fitting import fit_photo
+    from fitting import sample as draw
+    from fitting.images.photo_csv import read_photo
+    from fitting.images.photograph_file import pixels_of
+    from fitting.photo.restore import restored_paths
+    from fitting.report.picture import picture, save
+
+    depths = [_depth(text) for text in depth]
+    if len(depths) not in (1, len(paths)):
+        raise ValueError(
+            f"--depth is given {len(depths)} times for {len(paths)} photographs: give it once, or "
+            "once each."
+        )
+    if len(paths) > 1 and picture_of is not None:
+        raise ValueError("--picture belongs to one photograph: fit it alone to take its water out.")
+    known = dict(_known(text) for text in know or ())
+    if robust is not None and not robust > 0:
+        raise ValueError(f"--robust is {robust:g}; a positive number wanted.")
+    stem = output or Path(f"{paths[0].stem}_fit")
+    data, image, page = with_endings(stem, ".nc", ".png", ".html")
+    outputs = [data, image, *([page] if report else [])]
+    inputs = list(paths)
+    if picture_of is not None and range_map is not None:
+        outputs += restored_paths(stem)
+        inputs += [picture_of, range_map]
+    shown = _shown(picture_of, range_map, encoding)
+    scenery = None
+    if pixels:
+        if shown is None:
+            raise ValueError("--pixels needs --picture and --range-map.")
+        scenery = pixels_of(*shown)
+    read = [
+        read_photo(
+            path, *place, camera, solar_zenith, azimuth, response_shift=response_shift,
+            pixels=scenery,
+        )
+        for path, place in zip(paths, depths * (len(paths) // len(depths)), strict=True)
+    ]  # fmt: skip
+    check_outputs(outputs, inputs, overwrite)
+    photos, clipped = [photo for photo, _ in read], sum(count for _, count in read)
+    masked = sum(photo.masked for photo in photos)
+    preload()
+    with status("fitting constituents (the first run compiles)"):
+        fit = fit_photo(photos, matrix=matrix, know=known, robust=robust, tolerance=tolerance)
+    if sample:
+        with status("sampling the posterior (minutes)"):
+            fit = draw(fit)
+    if clipped or masked:
+        print(f"left out: {clipped} clipped rows, {masked} missing or non-positive values")
+    factor = fit.metadata["noise_factor"]
+    if factor > 1.0:
+        print(f"readings scatter {factor:.1f} x as much as their noise says: intervals widened")
+    print_water(fit)
+    save(data, fit, overwrite=overwrite)
+    picture(fit, image, overwrite=overwrite)
+    print(f"wrote {data} and {image}")
+    pictures = [] if shown is None else _without_water(fit, photos[0], shown, stem, overwrite)
+    if report:
+        from fitting.report.web_page import write_html
+
+        write_html(fit, page, pictures, overwrite=overwrite)
+        print(f"wrote {page}")
+
+
+def _shown(picture_of: Path | None, range_map: Path | None, encoding: str | None):
+    """The photograph and its ranges, or None; read before the fit, so that it fails early."""
+    if (picture_of is None) != (range_map is None):
+        raise ValueError("--picture and --range-map go together: one without the other is no use.")
+    if picture_of is None or range_map is None:
+        return None
+    from fitting.images.photograph_file import read_photograph, read_range
+
+    photograph = read_photograph(picture_of, encoding)
+    return photograph, read_range(range_map, photograph.values.shape[:2])
+
+
+def _without_water(fit, photo, shown, stem: Path, overwrite: bool) -> list[tuple[str, Path]]:
+    """Write the restored picture and its residual; (caption, file) of what a page can show."""
+    from fitting.photo.restore import restore
+
+    photograph, ranges = shown
+    views = [float(chart.zenith) for chart in photo.charts]
+    restored = restore(fit, photograph, ranges, zenith=sum(views) / len(views) if views else 90.0)
+    exr, png, residual = restored.save(stem, overwrite=overwrite)
+    if said := restored.sentence():
+        print(said)
+    print(f"wrote {exr}, {png} and {residual}")
+    return [("Without the water", png), ("Where the fitted water does not suit", residual)]
+
+
+def _known(text: str) -> tuple[str, tuple[float, float]]:
+    """(name, (value, standard deviation)) from "cdom=0.12+-0.01"."""
+    name, _, numbers = text.partition("=")
+    value, _, spread = numbers.partition("+-")
+    try:
+        return name.strip(), (float(value), float(spread))
+    except ValueError:
+        raise ValueError(f"--know is {text!r}; write name=value+-sd, as cdom=0.12+-0.01.") from None
+
+
+def _depth(text: str) -> tuple[float, float]:
+    """(metres, relative standard deviation) from "5" or "5+-2"."""
+    value, _, spread = text.partition("+-")
+    try:
+        metres = float(value)
+        relative = float(spread) / metres if spread else 0.02
+    except (ValueError, ZeroDivisionError):
+        raise ValueError(f"--depth is {text!r}; write metres as 5 or 5+-2.") from None
+    if not (metres > 0 and relative > 0):
+        raise ValueError(f"--depth is {text!r}; depth and its spread must be positive.")
+    return metres, relative

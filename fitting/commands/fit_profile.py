@@ -1,0 +1,358 @@
+"""`oceaninv fit-profile`."""
+
+import contextlib
+import itertools
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from fitting.commands.shared_options import (
+    Output,
+    Overwrite,
+    SolarZenith,
+    Tolerance,
+    check_outputs,
+    preload,
+    print_water,
+    status,
+    with_endings,
+)
+
+if TYPE_CHECKING:
+    from fitting.core.result import Fit
+    from fitting.profile.archive import Task
+
+# Those that are the same for every water and cheap enough to fit with.
+TRANSPORTS = {
+    "two-stream": "TwoStream",
+    "four-stream": "FourStream",
+    "plane-parallel": "PlaneParallel",
+}
+
+
+def fit_profile_command(
+    paths: Annotated[
+        list[Path], typer.Argument(help="csv, SeaBASS or netCDF (BGC-Argo) with Ed; one or many.")
+    ],
+    output: Output = None,
+    low: Annotated[float | None, typer.Option("--from", help="Shallowest depth, m.")] = None,
+    high: Annotated[float | None, typer.Option("--to", help="Deepest depth, m.")] = None,
+    solar_zenith: SolarZenith = None,
+    layers: Annotated[
+        str,
+        typer.Option(
+            help="Layers of constant Kd: a number, or auto to let the data choose; with "
+            "--constituents, of these too (plane-parallel)."
+        ),
+    ] = "1",
+    kd_only: Annotated[
+        bool | None,
+        typer.Option(
+            "--kd-only/--constituents",
+            help="Fit Kd alone, or constituents too.  [default: constituents of one cast, Kd alone "
+            "of many]",
+            show_default=False,
+        ),
+    ] = None,
+    merge: Annotated[
+        bool, typer.Option(help="All casts given are of one station: fit them as one.")
+    ] = False,
+    table: Annotated[
+        Path | None, typer.Option(help="Also write the spectra as TABLE.csv or TABLE.sb (SeaBASS).")
+    ] = None,
+    transport: Annotated[
+        str | None,
+        typer.Option(
+            help=f"Model of the light for constituents: {', '.join(TRANSPORTS)}; "
+            "two-stream if neither it nor a tolerance is given."
+        ),
+    ] = None,
+    tolerance: Tolerance = None,
+    know: Annotated[
+        list[str] | None, typer.Option(help="What is known, as cdom=0.12+-0.01; repeatable.")
+    ] = None,
+    unit: Annotated[
+        str | None, typer.Option(help="Unit of Ed where the file states none: 'uW cm-2 nm-1'.")
+    ] = None,
+    columns: Annotated[
+        str | None, typer.Option(help="The file's columns by ours: depth=z,Ed_490=irr.")
+    ] = None,
+    depth_offset: Annotated[
+        float, typer.Option(help="Metres from pressure sensor down to the sensor of Ed.")
+    ] = 0.0,
+    upward_offset: Annotated[
+        float | None, typer.Option(help="The same to the sensors of Eu and Lu, if it differs.")
+    ] = None,
+    tilt_limit: Annotated[
+        float | None, typer.Option(help="Leave out samples tilted further, degrees.")
+    ] = None,
+    cluster: Annotated[
+        str | None, typer.Option(help="Address of a dask scheduler, for archives.")
+    ] = None,
+    smooth: Annotated[
+        bool,
+        typer.Option("--smooth", help="Also Kd(z) without layers: group smooth of STEM.nc."),
+    ] = False,
+    sample: Annotated[
+        bool,
+        typer.Option(help="Draw constituents from the posterior (NUTS; minutes, needs blackjax)."),
+    ] = False,
+    overwrite: Overwrite = False,
+) -> None:
+    """Fit Kd of every band and the constituents of the water to depth profiles of Ed.
+
+    Eu, Lu and PAR are fitted where a file has them.  Of many files, or a file of many casts, -o
+    names the folder of results.
+    """
+    from fitting.files.cast_file import Reading, profile_of, raw_casts
+
+    units = {} if unit is None else {kind: unit for kind in ("Ed", "Eu", "Lu", "surface")}  # noqa: C420
+    reading = Reading(
+        solar_zenith, units, _columns(columns), depth_offset, upward_offset, tilt_limit
+    )
+    if transport is not None and tolerance is not None:
+        raise ValueError("--tolerance chooses the transport: leave out it or --transport.")
+    count, priors = _layers(layers), _known(know or [])
+    model: dict = {"tolerance": tolerance}
+    if tolerance is None:
+        # Layers asked for together with constituents are layers of these.
+        layered = kd_only is False and count != 1
+        model = {"transport": _transport(transport or ("plane-parallel" if layered else None))}
+        model |= {"layers": count} if layered else {}
+    if sample and kd_only:
+        raise ValueError("--sample draws constituents: leave out it or --kd-only.")
+    depth_range = None
+    if low is not None or high is not None:
+        depth_range = (low or 0.0, 1e5 if high is None else high)
+    if merge or (len(paths) == 1 and cluster is None):
+        casts = [cast for path in paths for cast in raw_casts(path, reading)]
+        if merge or len(casts) == 1:
+            profiles = [profile_of(cast, reading) for cast in casts]
+            profile = profiles[0]
+            if len(profiles) > 1:
+                from fitting.profile.merge_casts import merged
+
+                profile = merged(profiles)
+            files = with_endings(output or Path(f"{paths[0].stem}_fit"), ".nc", ".png")
+            files += [] if table is None else [table]
+            check_outputs(files, paths, overwrite)
+            work = None if kd_only else model
+            _fit_one(profile, files, depth_range, count, work, priors, smooth, sample, overwrite)
+            return
+    if table is not None:
+        raise ValueError("--table is for one cast; archives are written as netCDF.")
+    if sample or smooth:
+        raise ValueError("--sample and --smooth are for one cast.")
+    from fitting.profile.archive import Task
+
+    if tolerance is not None and kd_only is False:
+        raise ValueError("--tolerance is for one cast; name a --transport for archives.")
+    water = _transport(transport) if kd_only is False else None
+    if priors and water is None:
+        raise ValueError("--know applies to constituents: add --constituents.")
+    task = Task(output or Path("kd"), reading, depth_range, count, water, priors or None, overwrite)
+    _fit_many(paths, task, cluster)
+
+
+def _fit_one(profile, files, depth_range, layers, model, priors, smooth, sample, overwrite) -> None:
+    """`files`: the netCDF file, the picture and, if wanted, the table to write."""
+    from fitting import fit_profile
+    from fitting import sample as draw
+    from fitting.report.picture import picture, save
+
+    if depth_range is not None and depth_range[1] > profile.depth.max():
+        depth_range = (depth_range[0], float(profile.depth.max()))
+    preload()
+    with status("fitting Kd"):
+        fit = fit_profile(profile, depth_range=depth_range, layers=layers)
+    constituents, found, failures = None, None, []
+    if model is not None:
+        with (
+            status("fitting constituents (the first run compiles)"),
+            _noting(failures, "constituents"),
+        ):
+            constituents = fit_profile(profile, depth_range=depth_range, priors=priors, **model)
+    if smooth:
+        from fitting import smooth_kd
+
+        with status("fitting a smooth Kd(z)"), _noting(failures, "a smooth Kd(z)"):
+            found = smooth_kd(profile, depth_range)
+    if constituents is not None and sample:
+        with status("sampling the posterior (minutes)"), _noting(failures, "the posterior"):
+            constituents = draw(constituents)
+    _print_kd(fit)
+    if constituents is not None:
+        print_water(constituents)
+    if found is not None:
+        layers = len(found.interfaces) + 1
+        print(f"smooth Kd(z): e^{found.evidence:+.1f} times as likely as {layers} layer(s)")
+    data, image, *table = files
+    for path in table:
+        from fitting.report.spectra_table import write_spectra
+
+        write_spectra(path, fit, constituents, overwrite=overwrite)
+    save(data, fit, constituents, found, overwrite=overwrite)
+    picture(fit, image, constituents, overwrite=overwrite)
+    print(f"wrote {' and '.join(map(str, files))}")
+    if failures:
+        raise ValueError("; ".join(failures))
+
+
+@contextlib.contextmanager
+def _noting(failures: list[str], what: str) -> Iterator[None]:
+    """Keep the sentence of a step that fails, so that what was fitted before is still written."""
+    try:
+        yield
+    except ValueError as error:
+        failures.append(f"{what} could not be found: {error}")
+
+
+def _fit_many(paths: list[Path], task: "Task", cluster: str | None) -> None:
+    import sys
+
+    from rich.console import Console
+    from rich.progress import Progress
+
+    from fitting.profile.archive import fit_archive
+
+    failed = casts = resumed = 0
+    with Progress(console=Console(stderr=True)) as progress:
+        bar = progress.add_task("fitting", total=len(paths))
+        for outcome in fit_archive(paths, task, cluster):
+            progress.advance(bar)
+            casts, resumed = casts + outcome.casts, resumed + outcome.resumed
+            failed += bool(outcome.problems)
+            for sentence in outcome.problems:
+                print(f"oceaninv: {sentence}", file=sys.stderr)
+    print(f"{casts} casts of {len(paths)} files; {resumed} files were done before")
+    print(f"results are in {task.folder}")
+    if failed:
+        raise ValueError(
+            f"{failed} of {len(paths)} files could not be used in full; the rest is done."
+        )
+
+
+def _columns(text: str | None) -> dict[str, str]:
+    pairs = [pair.partition("=") for pair in (text or "").split(",") if pair]
+    for ours, _, theirs in pairs:
+        if not (ours and theirs):
+            raise ValueError(f"--columns is {text!r}; write ours=theirs, as depth=z,Ed_490=irr.")
+    return {ours.strip(): theirs.strip() for ours, _, theirs in pairs}
+
+
+def _transport(name: str | None):
+    import oceaninv as oi
+
+    name = "two-stream" if name is None else name
+    if name not in TRANSPORTS:
+        from oceaninv.foundation.tables import unknown
+
+        raise unknown("transport", name, list(TRANSPORTS))
+    return getattr(oi, TRANSPORTS[name])()
+
+
+def _known(texts: list[str]) -> dict:
+    """Priors from "cdom=0.12+-0.01"."""
+    from fitting.core.parameters import Parameter, constituents
+
+    known = {p.name: p for p in constituents()}
+    priors = {}
+    for text in texts:
+        name, _, rest = text.partition("=")
+        value, _, spread = rest.partition("+-")
+        # Of one layer: cdom_2.
+        kind = name[:-2] if name[-2:-1] == "_" and name[-1].isdigit() else name
+        if kind not in known:
+            from oceaninv.foundation.tables import unknown
+
+            raise unknown("constituent", name, sorted(known))
+        try:
+            centre, sd = float(value), float(spread)
+            if not (centre > 0 and sd > 0):
+                raise ValueError
+        except ValueError:
+            raise ValueError(
+                f"--know is {text!r}; write name=value+-spread, both positive, as cdom=0.12+-0.01."
+            ) from None
+        # The coordinate is a logarithm: its spread is the relative one.
+        priors[name] = Parameter(name, centre, sd / centre, unit=known[kind].unit)
+    return priors
+
+
+def _layers(text: str) -> int | None:
+    if text == "auto":
+        return None
+    if not text.isdigit():
+        raise ValueError(f"--layers is {text!r}; write a number or auto.")
+    return int(text)
+
+
+def _print_kd(fit: "Fit") -> None:
+    from rich.console import Console
+    from rich.table import Table
+
+    kd = fit.quantities["Kd"]
+    low, high = kd.interval(0.95, fit.dof)
+    table = Table(title=f"Kd, {fit.metadata['kd_definition']}", title_justify="left")
+    for name in ("nm", "Kd (1/m)", "95 % interval", "noise", "depths", "down to (m)"):
+        table.add_column(name, justify="right")
+    noise = fit.metadata["relative_noise"]
+    for i, wavelength in enumerate(fit.wavelength):
+        scatter = "given" if noise == "given" else f"{100 * noise[i]:.1f} %"
+        table.add_row(
+            f"{wavelength:g}",
+            f"{kd.value[i]:.4g}",
+            f"{low[i]:.4g} - {high[i]:.4g}",
+            scatter,
+            str(fit.metadata["depths_used"][i]),
+            f"{fit.metadata['deepest_used_m'][i]:.1f}",
+        )
+    Console().print(table)
+    if fit.metadata["interfaces_m"]:
+        _print_layers(fit)
+    _print_surface(fit)
+    for reason, number in fit.metadata["left_out"].items():
+        print(f"{reason}: {number}")
+    print(f"search: {fit.result}")
+
+
+def _print_surface(fit: "Fit") -> None:
+    """Upward light and PAR, where there is any."""
+    from rich.console import Console
+    from rich.table import Table
+
+    named = [name for name in ("Ku", "KLu", "R", "Rrs", "nLw") if name in fit.quantities]
+    if named:
+        table = Table(title="Upward light, with 95 % intervals", title_justify="left")
+        table.add_column("nm", justify="right")
+        for name in named:
+            table.add_column(f"{name} ({fit.quantities[name].unit})", justify="right")
+        ends = {name: fit.quantities[name].interval() for name in named}
+        for i, wavelength in enumerate(fit.wavelength):
+            spans = [f"{low[i]:.3g} - {high[i]:.3g}" for low, high in ends.values()]
+            table.add_row(f"{wavelength:g}", *("" if "nan" in s else s for s in spans))
+        Console().print(table)
+    for name in ("PAR_0", "Z_10", "Z_eu"):
+        if name in fit.quantities:
+            quantity = fit.quantities[name]
+            low, high = quantity.interval()
+            value = f"{float(quantity.value):.3g} {quantity.unit} ({low:.3g} - {high:.3g})"
+            print(f"{name}: {value}, {quantity.long_name}")
+
+
+def _print_layers(fit: "Fit") -> None:
+    from rich.console import Console
+    from rich.table import Table
+
+    edges = [0.0, *fit.metadata["interfaces_m"], max(fit.metadata["deepest_used_m"])]
+    table = Table(title="Kd (1/m) by layer, with 95 % intervals", title_justify="left")
+    table.add_column("nm", justify="right")
+    for top, bottom in itertools.pairwise(edges):
+        table.add_column(f"{top:.3g} - {bottom:.3g} m", justify="right")
+    for wavelength in fit.wavelength:
+        names = [f"Kd_{wavelength:g}_{i}" for i in range(1, len(edges))]
+        intervals = [fit.interval(name) for name in names]
+        table.add_row(f"{wavelength:g}", *(f"{low:.3g} - {high:.3g}" for low, high in intervals))
+    Console().print(table)

@@ -1,0 +1,92 @@
+"""The command `oceaninv`."""
+
+import os
+import sys
+from pathlib import Path
+
+import typer
+
+from fitting.commands import check, fit_photo, fit_profile, plan_and_trade, read_charts, render
+
+INPUT_ERROR = 3
+
+app = typer.Typer(
+    add_completion=False,
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    help="Water constituents from underwater light, with honest intervals.",
+)
+
+
+app.command("fit-profile")(fit_profile.fit_profile_command)
+app.command("fit-photo")(fit_photo.fit_photo_command)
+app.command("render")(render.render_command)
+app.command("plan")(plan_and_trade.plan_command)
+app.command("trade")(plan_and_trade.trade_command)
+app.command("read-charts")(read_charts.read_charts_command)
+app.command("check")(check.check_command)
+
+
+@app.callback()
+def _commands() -> None:
+    """Water constituents from underwater light, with honest intervals."""
+
+
+def quick_compilation(drawing: bool = False) -> None:
+    """Halve compile times on a CPU; must come before JAX starts its backend.
+
+    A fit runs once for a tenth of a second, so its program is not worth optimising: level 0 halves
+    the compile time, and so does the older of jaxlib 0.10's two code generators (measured).  A
+    picture is worth it (`drawing`); there the older generator is eight times faster, too.  Other
+    versions are left alone: an unknown flag would end the process.
+    """
+    from importlib.metadata import version
+
+    if version("jaxlib").startswith("0.10."):
+        quick = "--xla_cpu_use_fusion_emitters=false"
+        if not drawing:
+            quick += " --xla_backend_optimization_level=0"
+        os.environ["XLA_FLAGS"] = f"{os.environ.get('XLA_FLAGS', '')} {quick}".strip()
+
+
+def _set_up(drawing: bool = False, fitting: bool = False) -> None:
+    """float64 and a cache of compiled programs; must come before the first array.
+
+    Fits keep their programs themselves (`fitting.core.program_cache`), JAX those of other commands.
+    """
+    quick_compilation(drawing)
+    import jax
+
+    jax.config.update("jax_enable_x64", True)
+    root = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+    jax.config.update("jax_compilation_cache_dir", str(root / "oceaninv" / "programs"))
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.1)
+    jax.config.update("jax_enable_compilation_cache", not fitting)
+
+
+def run(arguments: list[str]) -> int:
+    """Run one command; returns the exit code, 3 after a sentence about bad input."""
+    try:
+        app(arguments, standalone_mode=True)
+    except (ValueError, OSError) as error:
+        print(f"oceaninv: {error}", file=sys.stderr)
+        return INPUT_ERROR
+    except SystemExit as end:
+        return int(end.code or 0)
+    return 0
+
+
+def main() -> None:
+    """The console script."""
+    # `trade` times its programs: they are optimised as those of a picture are.
+    command = "".join(sys.argv[1:2])
+    _set_up(command in ("render", "trade"), fitting=command.startswith("fit-"))
+    if command == "trade":  # a program that was stored would not count as compiled
+        import jax
+
+        jax.config.update("jax_compilation_cache_dir", None)
+    sys.exit(run(sys.argv[1:]))
+
+
+if __name__ == "__main__":
+    main()

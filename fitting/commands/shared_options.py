@@ -1,0 +1,142 @@
+"""What the commands share: options, tables and the writing of results."""
+
+from collections.abc import Iterable
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+if TYPE_CHECKING:
+    from fitting.core.result import Fit
+
+
+def _stem(path: Path | None) -> Path | None:
+    """STEM.nc means STEM, lest STEM.nc.nc be written."""
+    return path.with_suffix("") if path is not None and path.suffix == ".nc" else path
+
+
+Output = Annotated[
+    Path | None,
+    typer.Option(
+        "--output",
+        "-o",
+        callback=_stem,
+        help="Stem of the files to write, STEM.nc and STEM.png; by default INPUT_fit.",
+    ),
+]
+Overwrite = Annotated[
+    bool,
+    typer.Option(
+        "--overwrite", help="Replace files of the results' names that oceaninv did not write."
+    ),
+]
+SolarZenith = Annotated[
+    float | None, typer.Option(help="Sun zenith angle in air, degrees; unknown if not given.")
+]
+Tolerance = Annotated[
+    float | None,
+    typer.Option(
+        help="Relative error that the model of the light may bring: chooses the cheapest such."
+    ),
+]
+
+
+def status(text: str):
+    """A spinner on stderr while something runs."""
+    from rich.console import Console
+
+    return Console(stderr=True).status(text)
+
+
+def print_water(fit: "Fit") -> None:
+    """Constituents and quantities with intervals, and what they lean on."""
+    from rich.console import Console
+    from rich.table import Table
+
+    from fitting.core.parameters import phytoplankton_range
+
+    table = Table(title=f"Water by {fit.metadata['transport']}", title_justify="left")
+    for name in ("quantity", "unit", "value", "95 % interval"):
+        table.add_column(name, justify="left" if name in ("quantity", "unit") else "right")
+    leans = Table(title="Shift of the value per sd of an assumption", title_justify="left")
+    leans.add_column("quantity")
+    leans.add_column("leans most on", overflow="fold")
+    for name, quantity in fit.quantities.items():
+        if quantity.value.ndim == 0:
+            low, high = quantity.interval(0.95, fit.dof)
+            known = bool(quantity.sd <= 0.5)
+            table.add_row(name, quantity.unit, *shown(float(quantity.value), low, high, known))
+            leans.add_row(name, _leaning(fit, name))
+    for parameter in fit.parameters:
+        if not parameter.nuisance:
+            name = parameter.name
+            low, high = fit.interval(name)
+            known = fit.identifiable[name]
+            table.add_row(name, parameter.unit, *shown(fit.value[name], low, high, known))
+            leans.add_row(name, _leaning(fit, name))
+    Console().print(table, leans)
+    if "plan" in fit.metadata:
+        plan = fit.metadata["plan"]
+        error, asked = (f"{100 * plan[n]:.2g} %" for n in ("predicted_error", "tolerance"))
+        print(f"chosen: {plan['transport']}, predicted error {error}, asked {asked}")
+    if fit.bias is not None:
+        print("values of constituents are corrected for the curvature of the model (Box 1971)")
+    if "bands_not_modelled_nm" in fit.metadata:
+        low, high = phytoplankton_range()
+        named = ", ".join(f"{band:g}" for band in fit.metadata["bands_not_modelled_nm"])
+        print(
+            f"constituents were fitted without {named} nm: absorption by phytoplankton is "
+            f"tabulated from {low:g} to {high:g} nm"
+        )
+    if "nearest_jerlov_type" in fit.metadata:
+        away = 100 * fit.metadata["nearest_jerlov_rms_ln_kd"]
+        print(f"nearest Jerlov type: {fit.metadata['nearest_jerlov_type']} ({away:.0f} % off)")
+    print(f"search: {fit.result}")
+
+
+def shown(value, low, high, known: bool) -> tuple[str, str]:
+    """Value and interval as text; no bare number for what is not identifiable."""
+    best = f"{value:.3g}" if known else "not identifiable"
+    return best, f"{low:.3g} - {high:.3g}"
+
+
+def _leaning(fit: "Fit", name: str) -> str:
+    shifts = sorted(fit.sensitivity[name].items(), key=lambda item: -abs(item[1]))[:2]
+    return ", ".join(f"{key} {100 * shift:+.0f} %" for key, shift in shifts)
+
+
+def with_endings(stem: Path, *endings: str) -> list[Path]:
+    """STEM with each ending."""
+    return [stem.with_name(stem.name + ending) for ending in endings]
+
+
+def check_outputs(outputs: Iterable[Path], inputs: Iterable[Path], overwrite: bool) -> None:
+    """ValueError, before the work, where a result could not or must not be written.
+
+    A result must not replace what the command reads, whatever links or letters its name is spelt
+    with, nor a file that oceaninv did not write, unless `overwrite`.
+    """
+    from oceaninv.foundation.atomic_write import check_writable
+
+    inputs = list(inputs)
+    for output in outputs:
+        if output.exists() and not overwrite:
+            same = next((path for path in inputs if path.exists() and path.samefile(output)), None)
+            if same is not None:
+                raise ValueError(
+                    f"the result {output} would replace the input {same}: name another output "
+                    "with -o, or use --overwrite."
+                )
+        check_writable(output, overwrite=overwrite)
+
+
+def preload() -> None:
+    """Import what the results are written with while the compiler keeps the other core busy."""
+    import threading
+
+    def load():
+        import h5netcdf  # noqa: F401
+        import matplotlib.backends.backend_agg
+        import matplotlib.figure  # noqa: F401
+
+    threading.Thread(target=load, daemon=True).start()

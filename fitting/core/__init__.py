@@ -1,0 +1,1 @@
+"""Unknowns, problems, least squares and results: what all fits share."""

@@ -1,0 +1,240 @@
+"""Least squares with priors: the one solver that the three jobs share, and its cross-check."""
+
+from collections.abc import Callable
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+Residual = Callable[[Float[Array, " unknown"], Any], Float[Array, " residual"]]
+
+# Standard deviations from the optimum at which a search counts as converged.
+REMAINING = 1e-3
+
+RESULTS = {
+    0: "converged",
+    1: "the step limit was reached before the optimum: the data hardly constrain some unknown; "
+    "add data or prior knowledge, or raise max_steps",
+    2: "the model is not finite where the search ended: check units, depths and prior centres",
+}
+
+
+class Optimum(eqx.Module):
+    """Where a search ended.
+
+    - `x`: coordinates; `residual`, `jacobian`: of everything, priors included, at x.
+    - `code`: index into `RESULTS`.
+    """
+
+    x: Float[Array, " unknown"]
+    residual: Float[Array, " residual"]
+    jacobian: Float[Array, "residual unknown"]
+    code: Int[Array, ""]
+
+
+def _with_matrix(function: Residual) -> Residual:
+    """The same function, linear in the first argument's tangent through a matrix made once.
+
+    The solver applies the linearised residual in several places; without this, each would be a
+    copy of the model's derivative to compile.
+    """
+
+    def rule(primals, tangents):
+        (u, args), (du, dargs) = primals, tangents
+        value, slope = value_and_jacobian(lambda u: function(u, args), u)
+        zero = jax.custom_derivatives.SymbolicZero
+        tangent = jnp.zeros_like(value) if isinstance(du, zero) else slope @ du
+        moved = jax.tree.leaves(dargs, is_leaf=lambda leaf: isinstance(leaf, zero))
+        if any(not isinstance(leaf, zero) for leaf in moved):
+            dargs = jax.tree.map(_materialised, args, dargs)
+            tangent += jax.jvp(lambda args: function(u, args), (args,), (dargs,))[1]
+        return value, tangent
+
+    wrapped = jax.custom_jvp(function)
+    wrapped.defjvp(rule, symbolic_zeros=True)
+    return wrapped
+
+
+def _materialised(primal, tangent):
+    if not isinstance(tangent, jax.custom_derivatives.SymbolicZero):
+        return tangent
+    inexact = jnp.issubdtype(primal.dtype, jnp.inexact)
+    return jnp.zeros_like(primal) if inexact else np.zeros(primal.shape, jax.dtypes.float0)
+
+
+def least_squares(
+    residual: Residual,
+    start: Float[Array, " unknown"],
+    args: Any = None,
+    scale: Float[Array, " unknown"] | None = None,
+    max_steps: int = 400,
+) -> Optimum:
+    """Minimise |residual(x, args)|^2 by Levenberg-Marquardt with forward-mode derivatives.
+
+    `scale`: how far each coordinate may be expected to move, 1 unless given; the damping is equal
+    in these units.  A search has converged when the step that would remain in the linearised
+    problem is below a thousandth of a standard deviation.
+
+    Pure: jit and vmap it; a lane that fails carries a code instead of raising.
+    """
+    # Stored programs need no solver, so a command that finds them is spared this import.
+    import optimistix as optx
+
+    from fitting.core._trust_region import LevenbergMarquardt
+
+    unit = jnp.ones_like(start) if scale is None else scale.astype(start.dtype)
+
+    def misfit(u, args):
+        origin, unit, args = args
+        return residual(origin + unit * u, args)
+
+    solution = optx.least_squares(
+        _with_matrix(misfit),
+        LevenbergMarquardt(),
+        jnp.zeros_like(start),
+        (*jax.lax.stop_gradient((start, unit)), args),
+        options={"jac": "fwd"},
+        max_steps=max_steps,
+        throw=False,
+        adjoint=optx.ImplicitAdjoint(),
+    )
+    # The solver's last linearisation is that of the optimum: no second Jacobian to compile.
+    last = solution.state.f_info
+    value, slope = last.residual, last.jac.as_matrix() / unit[None, :]
+    finite = jnp.all(jnp.isfinite(value)) & jnp.all(jnp.isfinite(slope))
+    downhill = jnp.where(finite, value @ slope, 0.0)
+    usable = jnp.where(finite, slope, 0.0)
+    remaining = downhill @ covariance(usable) @ downhill
+    code = jnp.where(finite, jnp.where(remaining <= REMAINING**2, 0, 1), 2)
+    return Optimum(start + unit * solution.value, value, slope, code.astype(jnp.int32))
+
+
+def value_and_jacobian(function: Callable, x: Float[Array, " unknown"]):
+    """function(x), any tree of arrays, and its forward-mode Jacobian, by one evaluation."""
+
+    def push(tangent):
+        return jax.jvp(function, (x,), (tangent,))
+
+    basis = jnp.eye(x.shape[0], dtype=x.dtype)
+    return jax.vmap(push, out_axes=(None, -1))(basis)
+
+
+def covariance(jacobian: Float[Array, "residual unknown"]) -> Float[Array, "unknown unknown"]:
+    """Inverse of J^T J.  Directions that nothing constrains come out huge, not as NaN."""
+    scale = jnp.maximum(jnp.linalg.norm(jacobian, axis=0), jnp.finfo(jacobian.dtype).tiny ** 0.25)
+    _, singular, rows = jnp.linalg.svd(jacobian / scale[None, :], full_matrices=False)
+    least = singular[0] * jnp.finfo(jacobian.dtype).eps * jacobian.shape[1]
+    half = rows / jnp.maximum(singular, jnp.maximum(least, 1e-150))[:, None] / scale[None, :]
+    return half.T @ half
+
+
+class Bend(eqx.Module):
+    """What the curvature of a model does to a mode, to second order.
+
+    - `spread`, `derived`: standard deviation of the second-order part of the errors of the
+      coordinates (unknown,), and of a tree of derived numbers.
+    """
+
+    spread: Float[Array, " unknown"]
+    derived: Any
+
+
+def curvature(
+    function: Callable,
+    x: Float[Array, " unknown"],
+    cov: Float[Array, "unknown unknown"],
+    jacobian: Float[Array, "residual unknown"],
+    slopes: Any,
+    step: float = 0.1,
+) -> Bend:
+    """How the second-order errors of a mode of curved least squares scatter.
+
+    `function` (x) -> (residual, tree of derived numbers); `slopes`: the Jacobian of the latter.  A
+    mode errs by d + q(d), d its linear error and q_i = 1/2 d^T M_i d with M_i the Hessian of
+    x_i - (C J^T r)_i.  The spread of q is (1/2 tr (M_i C)^2)^1/2.
+
+    Second differences over `step` standard deviations along as many orthogonal axes, turned at
+    random, as there are unknowns: the trace of the square is within some 30 %.  One more
+    copy of the model to compile, but of no derivative.
+    """
+    count = x.shape[0]
+    turn = np.linalg.qr(np.random.default_rng(0).standard_normal((count, count)))[0]
+    unit = jnp.sqrt(jnp.diagonal(cov))
+    values, vectors = jnp.linalg.eigh(cov / unit[:, None] / unit[None, :])
+    axes = unit[:, None] * vectors * jnp.sqrt(jnp.maximum(values, 0.0))[None, :]
+    axes = step * (axes @ jnp.asarray(turn, x.dtype)).T
+    points = jnp.concatenate([x[None, :], x[None, :] + axes, x[None, :] - axes])
+    seen = jax.lax.map(function, points, batch_size=16)
+
+    def bent(leaf):
+        """(axis, ...) second derivatives."""
+        found = (leaf[1 : count + 1] + leaf[count + 1 :] - 2.0 * leaf[:1]) / step**2
+        return jnp.where(jnp.isfinite(found), found, 0.0)
+
+    of_residual, of_derived = jax.tree.map(bent, seen)
+    pull = -of_residual @ jnp.where(jnp.isfinite(jacobian), jacobian, 0.0) @ cov
+
+    def spread(diagonal):
+        # Of M in axes turned at random, E sum M_kk^2 = ((tr M)^2 + 2 tr M^2) / (n + 2).
+        square = (count + 2) * jnp.sum(diagonal**2, axis=0) - jnp.sum(diagonal, axis=0) ** 2
+        return jnp.sqrt(jnp.maximum(0.25 * square, 0.0))
+
+    def of_tree(own, slope):
+        carried = jnp.tensordot(pull, slope, axes=[[1], [slope.ndim - 1]])
+        return spread(own + carried)
+
+    derived = jax.tree.map(of_tree, of_derived, slopes)
+    return Bend(spread(pull), derived)
+
+
+def cross_check(
+    residual: Residual,
+    start: Float[Array, " unknown"],
+    args: Any = None,
+    reach: float = 1e3,
+    rounds: int = 3,
+) -> Float[Array, " unknown"]:
+    """The same optimum by another road: jaxopt's bound-constrained L-BFGS (SciPy's).
+
+    Works in coordinates in which the problem, linearised where a round starts, is round (one unit
+    is one standard deviation), inside a box of +- `reach` units; curved valleys need some rounds.
+    Independent of `least_squares` in method, derivatives (reverse mode) and library.
+    """
+    import warnings
+
+    with warnings.catch_warnings():
+        # jaxopt announces its retirement at import; the notice is not about this call.
+        warnings.simplefilter("ignore", DeprecationWarning)
+        import jaxopt
+
+    @jax.jit
+    def objective(u, centre, axes):
+        def half_square(u):
+            r = residual(centre + axes @ u, args)
+            return 0.5 * jnp.sum(r * r)
+
+        return jax.value_and_grad(half_square)(u)
+
+    @jax.jit
+    def round_axes(x):
+        slope = value_and_jacobian(lambda x: residual(x, args), x)[1]
+        return jnp.linalg.cholesky(covariance(slope))
+
+    # Its loops run outside the program: compiled, they would hold a dozen copies of the model.
+    solver = jaxopt.ScipyBoundedMinimize(
+        fun=objective, value_and_grad=True, method="L-BFGS-B", tol=1e-10, maxiter=500
+    )
+    zero = jnp.zeros_like(start)
+    x = start
+    for _ in range(rounds):
+        axes = round_axes(x)
+        x = x + axes @ solver.run(zero, (zero - reach, zero + reach), x, axes).params
+    return x
+
+
+def sentence(code) -> str:
+    """The sentence of a result code."""
+    return RESULTS[int(np.asarray(code))]

@@ -1,0 +1,171 @@
+"""Compiled functions that outlive the process."""
+
+import contextlib
+import hashlib
+import os
+import pickle
+import platform
+import threading
+from collections.abc import Callable
+from concurrent.futures import Future
+from functools import cache
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jax.core import Tracer
+from jax.experimental import serialize_executable
+
+import oceaninv
+from oceaninv.foundation.atomic_write import atomic_write
+
+
+def _folder() -> str | None:
+    """Where programs are kept: JAX's folder, if JAX itself keeps out of it.
+
+    On a CPU a program that came out of JAX's own cache cannot be stored a second time: it would
+    miss some of its functions (jaxlib 0.10).
+    """
+    own = jax.config.values["jax_enable_compilation_cache"]
+    return None if own else jax.config.values["jax_compilation_cache_dir"]
+
+
+@cache
+def _house() -> bytes:
+    """Digest of everything besides its arguments that a program depends on."""
+    digest = hashlib.sha256()
+    for root in (Path(oceaninv.__file__).parent, Path(__file__).parents[1]):
+        for path in sorted([*root.rglob("*.py"), *root.rglob("*.csv")]):
+            digest.update(path.name.encode() + path.read_bytes())
+    for package in ("jax", "jaxlib", "equinox", "optimistix", "lineax"):
+        digest.update(version(package).encode())
+    digest.update(os.environ.get("XLA_FLAGS", "").encode())
+    digest.update(str(jax.config.values["jax_enable_x64"]).encode())
+    device = jax.devices()[0]
+    digest.update(f"{device.device_kind} {device.client.platform_version}".encode())
+    digest.update(_processor())
+    return digest.digest()
+
+
+def _processor() -> bytes:
+    """What machine code may use here: a folder can be shared by machines that differ."""
+    with contextlib.suppress(OSError):
+        for line in Path("/proc/cpuinfo").read_bytes().splitlines():
+            if line.startswith((b"flags", b"Features")):
+                return line
+    return f"{platform.machine()} {platform.processor()}".encode()
+
+
+class _Program(eqx.Module):
+    """One compiled program: flat arrays in, flat arrays out, and the tree that these make."""
+
+    call: Callable
+    tree: Any = eqx.field(static=True)
+
+    def __call__(self, leaves):
+        return jax.tree.unflatten(self.tree, self.call(*leaves))
+
+
+class kept:
+    """`eqx.filter_jit(function)` that a later process need neither trace nor compile again.
+
+    Where JAX has a folder for its compilation cache but does not use it, the program is stored
+    there (that cache spares the compilation alone, about half of the wait).  The key holds the
+    source of the house, the versions of what it stands on, the machine and the static arguments,
+    so that a stale program is never found.  Without such a folder, under a transformation, or
+    with arrays on several devices, this is `eqx.filter_jit`.
+    """
+
+    def __init__(self, function: Callable):
+        self.function = function
+        self.jitted = eqx.filter_jit(function)
+        self.programs: dict[str, Future[_Program]] = {}
+
+    def __call__(self, *args):
+        leaves = _leaves(args)
+        if leaves is None:
+            return self.jitted(*args)
+        program, make = self._program(args, leaves)
+        make()
+        return program.result()(leaves)
+
+    def prepare(self, *args) -> None:
+        """Begin to compile for a call with such arguments, beside what the caller does next.
+
+        JAX traces one program at a time but compiles on another core.
+        """
+        leaves = _leaves(args)
+        if leaves is not None:
+            threading.Thread(target=self._program(args, leaves)[1]).start()
+
+    def _program(self, args, leaves) -> tuple[Future[_Program], Callable[[], None]]:
+        """The program, promised, and what keeps the promise (nothing, if somebody is at it)."""
+        arrays, static = eqx.partition(args, eqx.is_array)
+        tree = jax.tree.structure(arrays)
+        shapes = [(leaf.shape, str(leaf.dtype), leaf.weak_type) for leaf in leaves]
+        name = self.function.__qualname__
+        key = hashlib.sha256(_house() + pickle.dumps((static, shapes, name))).hexdigest()
+        if key in self.programs:
+            return self.programs[key], lambda: None
+        promised = self.programs[key] = Future()
+
+        def make():
+            path = Path(str(_folder())) / f"{self.function.__name__.strip('_')}-{key}.program"
+            try:
+                found = _load(path) or _compile(path, self.function, static, leaves, tree)
+                promised.set_result(found)
+            except BaseException as error:
+                del self.programs[key]
+                promised.set_exception(error)
+
+        return promised, make
+
+
+def _leaves(args) -> list | None:
+    """The arrays among arguments; None where their program is not to be stored."""
+    leaves = jax.tree.leaves(eqx.filter(args, eqx.is_array))
+    if _folder() is None or any(isinstance(leaf, Tracer) for leaf in leaves):
+        return None
+    return None if any(len(leaf.devices()) > 1 for leaf in leaves) else leaves
+
+
+def _write(path: Path, content: bytes) -> None:
+    with contextlib.suppress(OSError):  # a folder that cannot be written costs time, not the fit
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with atomic_write(path, overwrite=True) as temporary:
+            temporary.write_bytes(content)
+
+
+@cache
+def _register_lapack() -> None:
+    """A stored program calls LAPACK by names that JAX makes known when it lowers such a call."""
+    jax.jit(jnp.linalg.qr).lower(jax.ShapeDtypeStruct((1, 1), jnp.float32))
+
+
+def _load(path: Path) -> _Program | None:
+    try:
+        program, skeleton = pickle.loads(path.read_bytes())
+    except (OSError, EOFError, pickle.UnpicklingError):
+        return None
+    _register_lapack()
+    call = serialize_executable.deserialize_and_load(*program)
+    return _Program(call, jax.tree.structure(skeleton))
+
+
+def _compile(path: Path, function, static, leaves, tree) -> _Program:
+    outputs = []
+
+    def flat(*leaves):
+        result = function(*eqx.combine(jax.tree.unflatten(tree, leaves), static))
+        arrays, structure = jax.tree.flatten(result)
+        outputs.append(structure)
+        return tuple(arrays)
+
+    compiled = jax.jit(flat).lower(*leaves).compile()
+    skeleton = jax.tree.unflatten(outputs[0], range(outputs[0].num_leaves))
+    with contextlib.suppress(ValueError):  # a backend without serialisation
+        _write(path, pickle.dumps((serialize_executable.serialize(compiled), skeleton)))
+    return _Program(compiled, outputs[0])

@@ -1,0 +1,226 @@
+"""What a fit knows and does not know: values, intervals, correlations, identifiability."""
+
+import dataclasses
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from jaxtyping import Float
+
+from fitting.core.parameters import Log, Parameter, Parameters
+
+if TYPE_CHECKING:
+    import xarray
+
+Vector = Float[np.ndarray, " unknown"]
+
+# A standard deviation of the logarithm beyond which a number would mislead: only an interval is
+# given.  A posterior as wide as this share of its prior was decided by the prior.
+_UNKNOWN_SD = 0.5
+_PRIOR_SHARE = 0.8
+
+
+@dataclasses.dataclass(frozen=True)
+class Quantity:
+    """A derived quantity with its standard deviation, scalar or (wl,).
+
+    `sd` is of the natural logarithm (relative): optical coefficients are positive.  `samples`:
+    (draw, ...) values of a sampled posterior, whose quantiles are then the intervals.  `dof`:
+    degrees of freedom of its own, of the shape of `value`, where it has such.  `bend`: spread of
+    the second-order error, which widens intervals (see `half_width`).
+    """
+
+    value: np.ndarray
+    sd: np.ndarray
+    unit: str
+    long_name: str
+    samples: np.ndarray | None = None
+    dof: np.ndarray | None = None
+    bend: np.ndarray | float = 0.0
+
+    def interval(self, level: float = 0.95, dof: float | Vector | None = None):
+        """(low, high) that holds the truth with probability `level`."""
+        if self.samples is not None:
+            return tuple(np.quantile(self.samples, [0.5 - 0.5 * level, 0.5 + 0.5 * level], axis=0))
+        reach = half_width(level, self.sd, self.bend, dof if self.dof is None else self.dof)
+        return self.value * np.exp(-reach), self.value * np.exp(reach)
+
+
+def quantile(level: float, dof: float | np.ndarray | None = None) -> Any:
+    """Half-width of a central interval in standard deviations: normal, or Student's t."""
+    from scipy.special import ndtri, stdtrit
+
+    tail = 0.5 + 0.5 * level
+    return ndtri(tail) if dof is None else stdtrit(dof, tail)
+
+
+def half_width(level: float, sd: Any, bend: Any = 0.0, dof: Any = None):
+    """Half-width of a central interval of an error with a second-order part of spread `bend`.
+
+    z + c (z^2 - 1), of variance 1 + 2 c^2, has its quantiles c (z^2 - 1) away from those of z: none
+    at one standard deviation, c of bend/2^(1/2) times 2.84 at 95 %.  The sign of the displacement
+    is not known well enough to shift by, so it is added in squares.
+    """
+    z = quantile(level, dof)
+    return np.hypot(z * sd, (z * z - 1.0) * bend / np.sqrt(2.0))
+
+
+def amount_bias(sd: Any):
+    """What the mode of an amount's logarithm errs by on average, its standard deviations given.
+
+    Readings are nearly linear in amounts, and of (e^x - 1)/s the mode of x is off by -s^2/2 (Box
+    1971, Journal of the Royal Statistical Society B 33:171); bounded by half a standard deviation,
+    for second order is not to be trusted further.  Where unknowns are known well, Box's sum over
+    all of them comes to this; where they are not, it falls short at optima that came out low, which
+    are furthest off.
+    """
+    return -0.5 * sd * sd.clip(max=1.0)
+
+
+@dataclasses.dataclass(frozen=True)
+class Predictive:
+    """Observations beside what the fitted model predicts, all of one shape.
+
+    `sd`: noise of one observation; `axes`: names of the axes; `coords`: values along them.
+    """
+
+    observed: np.ndarray
+    predicted: np.ndarray
+    sd: np.ndarray
+    axes: tuple[str, ...]
+    unit: str
+    coords: Mapping[str, np.ndarray] = dataclasses.field(default_factory=dict)
+
+
+@dataclasses.dataclass(frozen=True)
+class Fit:
+    """The result of a fit.
+
+    - `value`: best value by parameter name.  Read it together with `identifiable`.
+    - `covariance`: (unknown, unknown) of the parameters' coordinates (the logarithm for positive
+      ones), in the order of `parameters`; `correlation` follows from it.
+    - `identifiable`: by name, whether the data fix the parameter: sd of the logarithm at most
+      0.5 and clearly narrower than the prior.
+    - `quantities`: derived quantities (Kd, c, ...).
+    - `result`: a sentence that says whether the search converged.
+    - `posterior_predictive`: observations beside predictions.
+    - `dof`: degrees of freedom when the noise was estimated from the residuals, (unknown,) where
+      the parameters differ; else None.
+    - `metadata`: model, data, counts of masked values, notes.
+    - `problem`: the posterior itself, for `fitting.sample`; None where a fit keeps none.
+    - `samples`: (draw, unknown) coordinates drawn from the posterior, or None; intervals are
+      then their quantiles.
+    - `bias`: (unknown,) what the mode `x` errs by on average (`amount_bias`); taken off `value`.
+      `bend`: (unknown,) spread of its second-order error, which widens the intervals (see
+      `half_width`).  None for neither.
+    """
+
+    parameters: Parameters
+    x: Vector
+    covariance: np.ndarray
+    quantities: Mapping[str, Quantity]
+    wavelength: np.ndarray
+    result: str
+    posterior_predictive: Predictive
+    metadata: Mapping[str, Any]
+    dof: float | Vector | None = None
+    sensitivity: Mapping[str, Mapping[str, float]] = dataclasses.field(default_factory=dict)
+    problem: Any = dataclasses.field(default=None, repr=False)
+    samples: np.ndarray | None = dataclasses.field(default=None, repr=False)
+    bias: np.ndarray | None = dataclasses.field(default=None, repr=False)
+    bend: np.ndarray | None = dataclasses.field(default=None, repr=False)
+
+    @property
+    def centre(self) -> Vector:
+        """(unknown,) coordinates of the best values: the mode less its bias."""
+        return self.x if self.bias is None else self.x - self.bias
+
+    @property
+    def value(self) -> dict[str, float]:
+        """Best value by name."""
+        return {
+            p.name: float(p.transform.physical(np.float64(x)))
+            for p, x in zip(self.parameters, self.centre, strict=True)
+        }
+
+    @property
+    def sd(self) -> dict[str, float]:
+        """Standard deviation of each parameter's coordinate (relative, for positive ones)."""
+        return dict(zip(self.parameters.names, np.sqrt(np.diag(self.covariance)), strict=True))
+
+    @property
+    def correlation(self) -> np.ndarray:
+        """(unknown, unknown) correlation matrix."""
+        sd = np.sqrt(np.diag(self.covariance))
+        return self.covariance / np.outer(sd, sd)
+
+    @property
+    def converged(self) -> bool:
+        """Whether the search ended at an optimum."""
+        return self.result == "converged"
+
+    def interval(self, name: str, level: float = 0.95) -> tuple[float, float]:
+        """(low, high) that holds the parameter with probability `level`."""
+        i = self.parameters.names.index(name)
+        transform = self.parameters[i].transform
+        if self.samples is not None:
+            ends = np.quantile(self.samples[:, i], [0.5 - 0.5 * level, 0.5 + 0.5 * level])
+            low, high = (float(transform.physical(end)) for end in ends)
+            return low, high
+        dof = self.dof[i] if isinstance(self.dof, np.ndarray) else self.dof
+        bend = 0.0 if self.bend is None else self.bend[i]
+        reach = half_width(level, np.sqrt(self.covariance[i, i]), bend, dof)
+        low, high = self.x[i] - reach, self.x[i] + reach
+        return float(transform.physical(low)), float(transform.physical(high))
+
+    @property
+    def identifiable(self) -> dict[str, bool]:
+        """Whether the data, rather than the prior, fix each parameter."""
+        return {
+            p.name: _identifiable(p, sd)
+            for p, sd in zip(self.parameters, self.sd.values(), strict=True)
+        }
+
+    @property
+    def wide(self) -> bool:
+        """Whether some asked-for number is so uncertain that the ellipsoid may mislead.
+
+        `fitting.sample` then gives honest intervals and joint regions.
+        """
+        scalars = [float(q.sd) for q in self.quantities.values() if q.value.ndim == 0]
+        asked = [sd for p, sd in zip(self.parameters, self.sd.values(), strict=True)
+                 if not p.nuisance]  # fmt: skip
+        return max([*scalars, *asked], default=0.0) > _UNKNOWN_SD
+
+    def to_xarray(self) -> "xarray.Dataset":
+        """Everything as a CF-style dataset; see `fitting.report.picture.dataset`."""
+        from fitting.report.picture import dataset
+
+        return dataset(self)
+
+    def report(self, path: str | Path, *, overwrite: bool = False) -> None:
+        """Write a picture of the fit (PNG) to `path`; see `fitting.report.picture`."""
+        from fitting.report.picture import picture
+
+        picture(self, path, overwrite=overwrite)
+
+    def metadata_json(self) -> str:
+        """Metadata as one line of JSON."""
+        return json.dumps(dict(self.metadata), default=str)
+
+
+def _identifiable(parameter: Parameter, sd: float) -> bool:
+    narrow = sd <= _UNKNOWN_SD or not isinstance(parameter.transform, Log)
+    informed = parameter.spread is None or sd <= _PRIOR_SHARE * parameter.spread
+    return bool(np.isfinite(sd) and narrow and informed)
+
+
+def derived_quantity(
+    values: np.ndarray, jacobian: np.ndarray, covariance: np.ndarray, unit: str, long_name: str
+) -> Quantity:
+    """Delta method for a positive quantity: `values` (...), `jacobian` (..., unknown)."""
+    relative = jacobian / values[..., None]
+    variance = np.einsum("...i,ij,...j->...", relative, covariance, relative)
+    return Quantity(values, np.asarray(np.sqrt(variance)), unit, long_name)

@@ -1,0 +1,1 @@
+"""Photographs, and the charts in them."""

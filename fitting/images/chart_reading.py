@@ -1,0 +1,305 @@
+"""Charts in a photograph: patches by four given corners, and the picture that shows where."""
+
+import dataclasses
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+import oceaninv as oi
+from fitting.images.chart_targets import Target, target
+from fitting.images.photograph_file import Photograph
+from fitting.images.quality_checks import linearity
+from fitting.photo.forward_model import WAVELENGTH
+from oceaninv.foundation.atomic_write import checksum_line, save_figure, with_checksum
+
+if TYPE_CHECKING:
+    from fitting.observations.photo import Chart
+
+_ORDERS = ((0, 1, 2, 3), (1, 2, 3, 0), (2, 3, 0, 1), (3, 0, 1, 2),
+           (1, 0, 3, 2), (0, 3, 2, 1), (3, 2, 1, 0), (2, 1, 0, 3))  # fmt: skip
+_TURNED = ("as given", "turned by 90 degrees", "turned by 180 degrees", "turned by 270 degrees",
+           "mirrored left-right", "mirrored and turned", "mirrored top-bottom",
+           "mirrored and turned")  # fmt: skip
+# A patch with more of its pixels at full scale or without value than this is left out.
+_UNUSABLE = 0.1
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class ChartReading:
+    """What was read from one chart.
+
+    - `values`, `sd`: (patch, channel) mean and its standard deviation (scatter and rounding).
+    - `clipped`: (patch,) saturated, by the file's own full scale or hidden below it.
+    - `pixels`: (patch,) how many were averaged; `outline`: (patch, 4, 2) where, column and row.
+    - `agreement`: rank correlation of values and known reflectances, mean over channels.
+    """
+
+    target: Target
+    corners: Float[np.ndarray, "4 2"]
+    values: Float[np.ndarray, "patch channel"]
+    sd: Float[np.ndarray, "patch channel"]
+    clipped: Bool[np.ndarray, " patch"]
+    pixels: np.ndarray
+    outline: Float[np.ndarray, "patch 4 2"]
+    agreement: float
+
+    @property
+    def kept(self) -> Bool[np.ndarray, " patch"]:
+        """(patch,) neither clipped nor of doubtful reflectance."""
+        return ~self.clipped & self.target.trusted
+
+    def chart(self, distance: float, *, noise: float = 0.03, **rest: Any) -> "Chart":
+        """The kept patches as a `Chart` at `distance` (m); `rest` as there.
+
+        `noise`: relative scatter added to `sd` (caustics, unevenness; 3 % in the field).
+        """
+        from fitting.observations.photo import Chart
+
+        keep = self.kept
+        if not keep.any():
+            raise ValueError("every patch of the chart is clipped: expose less.")
+        sigma = np.hypot(self.sd, noise * self.values)[keep]
+        name = str(rest.pop("name", self.target.name))
+        return Chart(
+            self.values[keep], self.target.reflectance[keep], distance, sigma, name=name, **rest
+        )
+
+    def sentence(self) -> str:
+        """How many patches were kept, and how well they agree with the chart."""
+        return (
+            f"{self.target.name}: {int(self.kept.sum())} of {len(self.clipped)} patches kept, "
+            f"{int(self.clipped.sum())} clipped; rank agreement {self.agreement:.2f}"
+        )
+
+
+def read_chart(
+    photograph: Photograph, corners: Any, name: str | Path | Target, *, window: float = 0.5
+) -> ChartReading:
+    """Mean values of the patches of a chart whose four corners are given.
+
+    **Arguments:**
+
+    - `corners`: (4, 2) column and row (pixels from the top left) of the corners of the area that
+      the patches fill: top left, top right, bottom right, bottom left of the chart as printed.
+    - `name`: "ColorChecker24", "DGK18", the path of a csv, or a
+      `fitting.images.chart_targets.Target`.
+    - `window`: share of a patch's width and height that is averaged, 0-1.
+
+    Patches are found by the perspective of the corners.  Patches with pixels at full scale are
+    marked clipped, and so are, on charts with four greys or more, those that hide their clipping
+    (`fitting.images.quality_checks.linearity`) and colours as bright as these in any channel.
+
+    Raises ValueError for corners outside the picture or out of order, and when the values follow
+    the known reflectances better with the chart turned or mirrored.
+    """
+    chart = name if isinstance(name, Target) else target(name)
+    rows, columns = photograph.values.shape[:2]
+    corners = np.asarray(corners, dtype=np.float64)
+    if corners.shape != (4, 2):
+        raise ValueError(f"corners must be four points (column, row), not shape {corners.shape}.")
+    inside = (corners >= -0.5) & (corners <= np.array([columns, rows]) - 0.5)
+    if not np.all(inside):
+        raise ValueError(
+            f"corner {corners[~inside.all(axis=1)][0]} lies outside the picture of {columns} x "
+            f"{rows} pixels."
+        )
+    if not 0 < window <= 1:
+        raise ValueError(f"window must lie in (0, 1], not {window:g}.")
+    sides = np.roll(corners, -1, axis=0) - corners
+    following = np.roll(sides, -1, axis=0)
+    turns = sides[:, 0] * following[:, 1] - sides[:, 1] * following[:, 0]
+    if not (np.all(turns > 0) or np.all(turns < 0)):
+        raise ValueError(
+            "corners must go around the chart: top left, top right, bottom right, bottom left."
+        )
+    values, sd, spoiled, pixels, outline = _read(photograph, corners, chart, window)
+    found = agreements(photograph, [corners[list(order)] for order in _ORDERS], chart, window)
+    best = int(np.argmax(found))
+    if found[best] > found[0] + 1e-9:
+        raise ValueError(
+            f"the patches follow {chart.name} better {_TURNED[best]} (rank correlation "
+            f"{found[best]:.2f}) than as given ({found[0]:.2f}): give the corners in the chart's "
+            "own order, its top left first."
+        )
+    clipped = _clipped(values, spoiled, chart)
+    return ChartReading(chart, corners, values, sd, clipped, pixels, outline, found[0])
+
+
+def agreements(
+    photograph: Photograph, places: Sequence[np.ndarray], chart: Target, window: float = 0.5
+) -> list[float]:
+    """Rank correlation with the chart's known values of what is read at each set of corners."""
+    return [_agreement(_read(photograph, c, chart, window)[0], chart) for c in places]
+
+
+def _perspective(corners: np.ndarray) -> np.ndarray:
+    """(3, 3) matrix that takes (across, down, 1) of the unit square to the picture."""
+    rows, right = [], []
+    for (u, v), (x, y) in zip(((0, 0), (1, 0), (1, 1), (0, 1)), corners, strict=True):
+        rows += [[u, v, 1, 0, 0, 0, -u * x, -v * x], [0, 0, 0, u, v, 1, -u * y, -v * y]]
+        right += [x, y]
+    return np.append(np.linalg.solve(np.array(rows, dtype=float), right), 1.0).reshape(3, 3)
+
+
+def _apply(matrix: np.ndarray, points: np.ndarray) -> np.ndarray:
+    moved = np.concatenate([points, np.ones((*points.shape[:-1], 1))], axis=-1) @ matrix.T
+    return moved[..., :2] / moved[..., 2:]
+
+
+def _read(photograph: Photograph, corners: np.ndarray, chart: Target, window: float):
+    """Means, standard deviations, spoiled share, pixels and outlines of all patches."""
+    matrix = _perspective(corners)
+    back = np.linalg.inv(matrix)
+    half = 0.5 * window * chart.size
+    square = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
+    outline = _apply(matrix, chart.centre[:, None] + square[None] * half[:, None])
+    last = np.array(photograph.values.shape[1::-1]) - 1
+    values, sd, spoiled, pixels = [], [], [], []
+    for middle, reach, polygon in zip(chart.centre, half, outline, strict=True):
+        low = np.clip(np.floor(polygon.min(axis=0)), 0, last).astype(int)
+        high = np.clip(np.ceil(polygon.max(axis=0)), 0, last).astype(int)
+        x, y = np.meshgrid(*(np.arange(a, b + 1) for a, b in zip(low, high, strict=True)))
+        points = np.stack([x.ravel(), y.ravel()], axis=1)
+        within = np.all(np.abs(_apply(back, points.astype(float)) - middle) <= reach, axis=1)
+        if not within.any():  # smaller than a pixel
+            points = np.clip(np.round(_apply(matrix, middle[None])), 0, last).astype(int)
+            within = np.ones(1, dtype=bool)
+        columns, rows = points[within].T
+        seen, usable = photograph.values[rows, columns], photograph.mask[rows, columns]
+        spoiled.append(1.0 - np.mean(np.all(usable, axis=1)))
+        values.append(np.nanmean(np.where(np.isfinite(seen), seen, 0.0), axis=0))
+        scatter = seen.std(axis=0, ddof=1) if len(seen) > 1 else np.zeros(3)
+        own = np.hypot(scatter, photograph.relative * values[-1]) / np.sqrt(len(seen))
+        sd.append(np.hypot(own, photograph.step))
+        pixels.append(len(seen))
+    return np.stack(values), np.stack(sd), np.array(spoiled), np.array(pixels), outline
+
+
+def _agreement(values: np.ndarray, chart: Target) -> float:
+    """Mean over channels of the rank correlation of values and what an average camera expects."""
+    from scipy.stats import rankdata
+
+    weights = np.asarray(oi.spectrum.generic_camera().weights(WAVELENGTH))
+    expected = chart.reflectance @ weights.T
+    pairs = zip(rankdata(values, axis=0).T, rankdata(expected, axis=0).T, strict=True)
+    return float(np.mean([np.corrcoef(a, b)[0, 1] if np.ptp(a) > 0 else 0.0 for a, b in pairs]))
+
+
+def _clipped(values: np.ndarray, spoiled: np.ndarray, chart: Target) -> np.ndarray:
+    clipped = spoiled > _UNUSABLE
+    greys = np.flatnonzero(chart.neutral & ~clipped)
+    if len(greys) > 3:
+        hidden = greys[linearity(values[greys], chart.brightness[greys]).clipped]
+        if len(hidden):
+            clipped = clipped | np.any(values >= values[hidden].min(axis=0), axis=1)
+            clipped[hidden] = True
+    return clipped
+
+
+def overlay(
+    photograph: Photograph,
+    readings: Sequence[ChartReading],
+    path: str | Path,
+    *,
+    overwrite: bool = False,
+) -> None:
+    """Draw where the patches were read, numbered from 1; crossed out where not kept (PNG)."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+    from matplotlib.patches import Polygon
+
+    shown = display(photograph.values)
+    figure = Figure(figsize=(6.0 * min(len(readings), 2), 4.6 * -(-len(readings) // 2)))
+    FigureCanvasAgg(figure)
+    across = min(len(readings), 2)
+    for k, reading in enumerate(readings):
+        axes = figure.add_subplot(-(-len(readings) // 2), across, k + 1)
+        axes.imshow(shown, interpolation="nearest")
+        for number, (polygon, bad) in enumerate(
+            zip(reading.outline, ~reading.kept, strict=True), start=1
+        ):
+            colour = "tab:red" if bad else "black"
+            axes.add_patch(Polygon(polygon, fill=False, color=colour, lw=1.0))
+            x, y = polygon.mean(axis=0)
+            axes.text(x, y, f"{number}", color=colour, fontsize=7, ha="center", va="center")
+            if bad:
+                axes.plot(*polygon[[0, 2]].T, color=colour, lw=0.7)
+        axes.add_patch(Polygon(reading.corners, fill=False, color="white", lw=0.8))
+        low, high = reading.corners.min(axis=0), reading.corners.max(axis=0)
+        margin = 0.15 * (high - low).max()
+        axes.set_xlim(low[0] - margin, high[0] + margin)
+        axes.set_ylim(high[1] + margin, low[1] - margin)
+        axes.set_title(reading.sentence(), fontsize=8)
+        axes.tick_params(labelsize=7)
+    figure.tight_layout()
+    save_figure(figure, path, dpi=130, overwrite=overwrite)
+
+
+def display(values: np.ndarray) -> np.ndarray:
+    """(row, column, 3) linear values for the screen: the 99th percentile white, gamma 2.2."""
+    finite = np.nan_to_num(np.asarray(values, dtype=float))
+    top = max(float(np.percentile(finite, 99)), 1e-12)
+    return np.clip(finite / top, 0.0, 1.0) ** (1 / 2.2)
+
+
+def table_of(
+    photograph: Photograph,
+    charts: Sequence[tuple[str, str, float, ChartReading]],
+    windows: Sequence[tuple[float, float, float, float, float]],
+    zenith: float | Sequence[float],
+    camera: str | None = None,
+    lamp: bool = False,
+) -> str:
+    """Readings as the csv that `fitting.images.photo_csv.read_photo` reads.
+
+    `charts`: (name, kind, range in m, reading); `windows` of open water: (x0, y0, x1, y1, zenith);
+    `zenith`: of the lines of sight to the charts, degrees, one for all or one of each (10 degrees
+    change the veil before a chart by some 10 %);
+    `camera`: None takes that of the file, if its response is known; `lamp`: lit by a lamp at the
+    camera.  What the file says about exposure and flash is passed on.
+    """
+    facts = [f"# camera: {camera or photograph.camera or 'generic'}"]
+    if photograph.exposure is not None:
+        facts.append(f"# relative_exposure: {photograph.exposure:.6g}")
+    if photograph.flash is not None:
+        facts.append(f"# flash: {'fired' if photograph.flash else 'not fired'}")
+    if lamp:
+        facts.append("# light: lamp")
+    lines = [
+        f"# {checksum_line()}",
+        f"# title: Readings of charts and open water in {Path(photograph.source).name}",
+        "# units: kind=text, chart=text, target=text, range=m, zenith=degree, *=1",
+        *facts,
+        "kind,chart,target,patch,reflectance,range,zenith,R,G,B,R_sd,G_sd,B_sd,pixels,clipped",
+    ]
+
+    def numbers(values):
+        return ",".join(f"{v:.6g}" for v in values)
+
+    zeniths = np.broadcast_to(np.asarray(zenith, dtype=float), (len(charts),))
+    for (name, kind, distance, reading), tilt in zip(charts, zeniths, strict=True):
+        for i, kept in enumerate(reading.kept):
+            grey = reading.target.brightness[i]
+            cells = numbers([*reading.values[i], *reading.sd[i]])
+            lines.append(
+                f"chart,{name},{kind},{i + 1},{grey:.4f},{distance:.4g},{tilt:g},{cells},"
+                f"{reading.pixels[i]},{int(not kept)}"
+            )
+    rows, columns = photograph.values.shape[:2]
+    for x0, y0, x1, y1, angle in windows:
+        if not (0 <= x0 <= x1 < columns and 0 <= y0 <= y1 < rows):
+            raise ValueError(
+                f"window {x0:g},{y0:g} {x1:g},{y1:g} of open water must lie in the picture of "
+                f"{columns} x {rows} pixels, its upper left corner first."
+            )
+        part = slice(int(y0), int(y1) + 1), slice(int(x0), int(x1) + 1)
+        seen = photograph.values[part][np.all(photograph.mask[part], axis=-1)]
+        if len(seen) == 0:
+            raise ValueError(f"window {x0:g},{y0:g} {x1:g},{y1:g} holds no usable pixel.")
+        scatter = seen.std(axis=0) / np.sqrt(len(seen))
+        cells = numbers([*seen.mean(axis=0), *np.hypot(scatter, photograph.step)])
+        lines.append(f"background,,,,,,{angle:g},{cells},{len(seen)},0")
+    return with_checksum("\n".join(lines) + "\n")

@@ -1,0 +1,242 @@
+"""Measurements from files: plain csv with a header of `# key: value` lines."""
+
+import csv
+import dataclasses
+import difflib
+import fnmatch
+from pathlib import Path
+
+import numpy as np
+
+import oceaninv as oi
+from fitting.observations.array_checks import Profile
+from fitting.observations.photo import Background, Chart, Photo, Pixels
+from fitting.photo.forward_model import WAVELENGTH
+
+
+@dataclasses.dataclass(frozen=True)
+class Sheet:
+    """A csv file: header lines by key, column names, rows of text."""
+
+    path: Path
+    header: dict[str, str]
+    columns: list[str]
+    rows: list[list[str]]
+    comments: tuple[str, ...] = ()
+
+    def numbers(self, column: str) -> np.ndarray:
+        """A column as floats; blanks are NaN, other text is an error naming the row."""
+        index = self.columns.index(column)
+        values = []
+        for line, row in enumerate(self.rows, start=1):
+            text = row[index].strip()
+            try:
+                values.append(float(text) if text else np.nan)
+            except ValueError:
+                raise ValueError(
+                    f"{self.path}: column {column!r}, data row {line}: {text!r} is not a number."
+                ) from None
+        return np.asarray(values)
+
+    def texts(self, column: str) -> list[str]:
+        """A column as text."""
+        index = self.columns.index(column)
+        return [row[index].strip() for row in self.rows]
+
+    def require(self, *columns: str) -> None:
+        """ValueError that names the missing columns and what is there instead."""
+        missing = [name for name in columns if name not in self.columns]
+        if missing:
+            near = difflib.get_close_matches(missing[0], self.columns, n=3, cutoff=0.5)
+            hint = f" Near it: {', '.join(near)}." if near else ""
+            raise ValueError(
+                f"{self.path}: column {', '.join(map(repr, missing))} is missing; the file has "
+                f"{', '.join(self.columns)}.{hint}"
+            )
+
+    def stated_unit(self, column: str) -> str | None:
+        """Unit of a column from the `# units:` line, None when it is not stated."""
+        for pair in self.header.get("units", "").split(","):
+            pattern, _, unit = pair.strip().partition("=")
+            if unit and fnmatch.fnmatchcase(column, pattern):
+                return unit
+        return None
+
+    def unit(self, column: str) -> str:
+        """Unit of a column from the `# units:` line; ValueError when it is not stated."""
+        unit = self.stated_unit(column)
+        if unit is not None:
+            return unit
+        raise ValueError(
+            f"{self.path}: the unit of column {column!r} is not stated; write a header line such "
+            f"as '# units: {column}=...'."
+        )
+
+
+def read_sheet(path: str | Path) -> Sheet:
+    """Read a csv file with comment header; ValueError says what is wrong and where."""
+    path = Path(path)
+    raw = path.read_bytes()
+    if b"\x00" in raw:
+        raise ValueError(
+            f"{path} holds NUL bytes: it is not a text file, or was cut while written."
+        )
+    try:
+        lines = raw.decode("utf-8-sig").splitlines()
+    except UnicodeDecodeError as error:
+        raise ValueError(f"{path} is not UTF-8 text (byte {error.start}).") from None
+    header = {}
+    for line in lines:
+        if line.startswith("#"):
+            key, _, value = line[1:].partition(":")
+            header[key.strip()] = value.strip()
+    table = list(csv.reader(line for line in lines if line.strip() and not line.startswith("#")))
+    if len(table) < 2:
+        raise ValueError(f"{path} holds no data: a row of column names and rows of values wanted.")
+    columns = [name.strip() for name in table[0]]
+    for number, row in enumerate(table[1:], start=1):
+        if len(row) != len(columns):
+            raise ValueError(
+                f"{path}: data row {number} has {len(row)} values for {len(columns)} columns."
+            )
+    comments = tuple(line[1:].strip() for line in lines if line.startswith("#"))
+    return Sheet(path, header, columns, table[1:], comments)
+
+
+def read_profile(path: str | Path, solar_zenith: float | None = None) -> Profile:
+    """The one cast in a file of any kind that `fitting.files.cast_file` knows.
+
+    csv: column `depth` (m) and columns `Ed_<wavelength in nm>`, units in the header; they may be
+    W m-2 nm-1 or uW cm-2 nm-1 and are returned as the former; a missing or other unit is refused.
+    `solar_zenith` (degrees) overrides the file's.
+    """
+    from fitting.files.cast_file import Reading, read_cast
+
+    return read_cast(path, Reading(solar_zenith=solar_zenith))
+
+
+def read_photo(
+    path: str | Path,
+    depth: float,
+    depth_sd: float = 0.02,
+    camera: str | None = None,
+    solar_zenith: float | None = None,
+    azimuth: float | None = None,
+    field_noise: float = 0.03,
+    response_shift: float = 0.0,
+    pixels: Pixels | None = None,
+) -> tuple[Photo, int]:
+    """Chart and background readings of one photograph, and how many rows were left out as clipped.
+
+    Columns: kind (chart or background), chart (name), reflectance (0-1, neutral), range (m),
+    zenith (degrees of the line of sight), R, G, B (linear) and R_sd, G_sd, B_sd; optional
+    `clipped` (1 leaves the row out), `target` and `patch`: a chart that
+    `fitting.images.chart_targets.target`
+    knows and the number in it, whose spectrum then stands for `reflectance`.  `field_noise`:
+    relative scatter that is added to the stated standard deviations (caustics, unevenness).
+    `camera`: a name of the response table, "generic", or None for the header's `camera`.
+    `solar_zenith` and `azimuth` (degrees, 180 with the sun behind the camera): None takes the
+    header's, else 40 and 90.  `response_shift` and `pixels` as in `Photo`.
+
+    Header `relative_exposure`: time (s) x ISO/100 / f-number^2, by which photographs of one camera
+    share its gains.  `light: lamp`: a lamp at the camera lit the charts.  Without that line
+    ValueError where the header says `flash: fired`.
+    """
+    from fitting.images.quality_checks import FLASH
+
+    sheet = read_sheet(path)
+    lamp = sheet.header.get("light") == "lamp"
+    if sheet.header.get("flash") == "fired" and not lamp:
+        raise ValueError(f"{sheet.path}: {FLASH}.")
+    channels = ["R", "G", "B"]
+    sheet.require(
+        "kind", "chart", "reflectance", "range", "zenith", *channels, *(f"{c}_sd" for c in channels)
+    )
+    if sheet.unit("range") != "m":
+        raise ValueError(f"{sheet.path}: range must be in m, not {sheet.unit('range')!r}.")
+    values = np.stack([sheet.numbers(c) for c in channels], axis=1)
+    sd = np.stack([sheet.numbers(f"{c}_sd") for c in channels], axis=1)
+    sd = np.hypot(sd, field_noise * values)
+    keep = np.ones(len(values), dtype=bool)
+    if "clipped" in sheet.columns:
+        keep = sheet.numbers("clipped") != 1
+    kinds, names = sheet.texts("kind"), sheet.texts("chart")
+    for row, kind in enumerate(kinds, start=1):
+        if kind not in ("chart", "background"):
+            raise ValueError(
+                f"{sheet.path}: data row {row}: kind is {kind!r}; chart or background wanted."
+            )
+    zenith, distance = sheet.numbers("zenith"), sheet.numbers("range")
+    reflectance = _spectra(sheet)
+    is_chart = np.array([kind == "chart" for kind in kinds])
+    try:
+        charts = []
+        for name in dict.fromkeys(n for n, k in zip(names, kinds, strict=True) if k == "chart"):
+            rows = is_chart & keep & np.array([n == name for n in names])
+            if rows.any():
+                charts.append(
+                    Chart(
+                        values[rows],
+                        reflectance[rows],
+                        float(np.median(distance[rows])),
+                        sd[rows],
+                        float(np.median(zenith[rows])),
+                        name,
+                    )
+                )
+        rows = ~is_chart & keep
+        backgrounds = [Background(values[rows], zenith[rows], sd[rows])] if rows.any() else []
+        name = sheet.header.get("camera", "generic") if camera is None else camera
+        response = None if name == "generic" else oi.spectrum.camera_response(name)
+        photo = Photo(
+            charts,
+            backgrounds,
+            pixels,
+            depth=depth,
+            depth_sd=depth_sd,
+            response=response,
+            response_shift=response_shift,
+            solar_zenith=header_number(sheet, "solar_zenith", solar_zenith, 40.0),
+            azimuth=header_number(sheet, "azimuth", azimuth, 90.0),
+            exposure=header_number(sheet, "relative_exposure", None, None),
+            source=str(path),
+            lamp=lamp,
+        )
+    except ValueError as error:
+        raise ValueError(f"{sheet.path}: {error}") from None
+    return photo, int((~keep).sum())
+
+
+def _spectra(sheet: Sheet) -> np.ndarray:
+    """(row,) neutral reflectances, or (row, wl) where some row names its target and patch."""
+    from fitting.images.chart_targets import target
+
+    neutral = sheet.numbers("reflectance")
+    if "target" not in sheet.columns or not any(names := sheet.texts("target")):
+        return neutral
+    sheet.require("patch")
+    numbers = sheet.numbers("patch")
+    charts = {name: target(name) for name in set(names) if name}
+    rows = []
+    for line, (name, number, grey) in enumerate(zip(names, numbers, neutral, strict=True), start=1):
+        if not name:
+            rows.append(np.full(len(WAVELENGTH), grey))
+        elif 1 <= number <= len(charts[name].reflectance):
+            rows.append(charts[name].reflectance[int(number) - 1])
+        else:
+            raise ValueError(
+                f"{sheet.path}: data row {line}: {name} has patches 1 to "
+                f"{len(charts[name].reflectance)}, not {number:g}."
+            )
+    return np.stack(rows)
+
+
+def header_number(sheet: Sheet, key: str, value: float | None, default: float | None):
+    """The caller's value, else the header's, else the default."""
+    if value is not None or key not in sheet.header:
+        return default if value is None else value
+    text = sheet.header[key]
+    try:
+        return float(text)
+    except ValueError:
+        raise ValueError(f"header {key!r} is {text!r}, not a number.") from None

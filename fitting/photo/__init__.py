@@ -1,0 +1,1 @@
+"""Photographs of charts and open water to constituents."""

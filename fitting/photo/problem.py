@@ -1,0 +1,291 @@
+"""The posterior of photographs of one water: unknowns, priors, residuals, search."""
+
+import dataclasses
+from collections.abc import Sequence
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+import oceaninv as oi
+from fitting.core.least_squares import Optimum, least_squares
+from fitting.core.parameters import (
+    Identity,
+    Log,
+    Parameter,
+    Parameters,
+    Prior,
+    constituents,
+    pigment_packaging,
+    shape_nuisances,
+)
+from fitting.core.sampling import AbstractProblem
+from fitting.observations.photo import Photo
+from fitting.photo.forward_model import (
+    ALBEDO_TERMS,
+    WAVELENGTH,
+    Readings,
+    light_up,
+    pixel_residual,
+    predict_lit,
+    predict_pixels,
+    readings_of,
+)
+from fitting.water_model.quantities import UNITS, water_quantities
+from oceaninv.transport.base import AbstractTransport
+
+_LAMP_EVENNESS = 0.1
+# sd of ln of algal absorption at given chlorophyll.  Open ocean: 0.3-0.4 (Bricaud et al. 1998: r2
+# of 0.90 at 440 nm over three decades of chlorophyll).  European coasts: 0.6 (Massicotte et al.
+# 2023, doi 10.5194/essd-15-3529-2023: 60 stations above 0.5 mg/m3 with AC-9 absorption, split by
+# least squares into the algae's mean spectrum and an exponential; 1.48 times the median deviation).
+_ALGAL_ABSORPTION = 0.55
+
+
+# By how much (ln) a correction may change from where it was made: further off it is not known.
+_REACH = 0.5
+
+
+class Correction(eqx.Module):
+    """By what factor a dearer model sees each reading otherwise than a fit's own, to first order in
+    the unknowns about one point, and how a search goes on from there.
+
+    - `log`: ln of it there, by photograph; `slope`: its derivative by the unknowns in `unit`.
+    - `about`: the point; `unit`: standard deviations of the unknowns.
+    - `hold`: how firmly a search is held to the point, as by a datum of 1 / hold units.
+    - `blur`: by how much the readings are blurred in the first stage of a search.
+    """
+
+    log: tuple[Float[Array, "reading channel"], ...]
+    slope: tuple[Float[Array, "reading channel unknown"], ...]
+    about: Float[Array, " unknown"]
+    unit: Float[Array, " unknown"]
+    hold: Float[Array, ""]
+    blur: Float[Array, ""]
+
+    def away(self, x: Float[Array, " unknown"]) -> Float[Array, " unknown"]:
+        return (x - self.about) / self.unit
+
+    def factor(self, photo: int, x: Float[Array, " unknown"]) -> Float[Array, "reading channel"]:
+        change = self.slope[photo] @ self.away(x)
+        return jnp.exp(self.log[photo] + _REACH * jnp.tanh(change / _REACH))
+
+
+class PhotoProblem(AbstractProblem):
+    """The posterior of photographs of one water.
+
+    - `known`: names of ancillary values; `known_values`: their (ln value, relative sd).
+    - `robust`: residuals beyond so many standard deviations count linearly, None: all squared.
+    - `correction`: of what the transport makes of the readings.
+    """
+
+    layout: Parameters = eqx.field(static=True)
+    prior: Prior
+    readings: tuple[Readings, ...]
+    transport: AbstractTransport
+    sunlight: Float[Array, " wl"]
+    known: tuple[str, ...] = eqx.field(static=True, default=())
+    known_values: Float[Array, "known 2"] | None = None
+    robust: Float[Array, ""] | None = None
+    correction: Correction | None = None
+
+    def residual(self, x: Float[Array, " unknown"]) -> Float[Array, " residual"]:
+        """Readings, pixels, ancillary values and priors, each in standard deviations."""
+        values = self.layout.values(x)
+        data, scenery = [], []
+        for p, one in enumerate(self.readings):
+            lit = light_up(values, one, self.sunlight, p)
+            seen = predict_lit(lit, values, one, self.transport, p)
+            if self.correction is not None:
+                seen = seen * self.correction.factor(p, x)
+            off = jnp.where(one.mask, (one.values - seen) / one.sigma, 0.0).reshape(-1)
+            data.append(off if self.robust is None else _robust(off, self.robust))
+            if one.pixels is not None:
+                scenery.append(pixel_residual(lit, values, one.pixels, self.transport, p))
+        if self.known_values is not None:
+            scenery.append(self._ancillary(values, self.known_values))
+        return jnp.concatenate([*data, *scenery, self.prior.residual(x)])
+
+    def _ancillary(self, values, known):
+        found = dict(values)
+        if any(name in UNITS for name in self.known):
+            found |= water_quantities(values, WAVELENGTH, self.transport)
+        logs = jnp.log(jnp.stack([found[name] for name in self.known]))
+        return (logs - known[:, 0]) / known[:, 1]
+
+    def quantities(self, x: Float[Array, " unknown"]) -> dict[str, Array]:
+        """Kd, c, bb, a_cdm; see `fitting.water_model.quantities.UNITS`."""
+        return water_quantities(self.layout.values(x), WAVELENGTH, self.transport)
+
+
+def _robust(residual, limit):
+    """Signed square roots of twice the pseudo-Huber loss: r near 0, growing like sqrt beyond."""
+    excess = residual / limit
+    # loss = 2 limit^2 (sqrt(1 + e^2) - 1), written without cancellation; its root is smooth in r.
+    return residual * jnp.sqrt(2.0 / (jnp.sqrt(1.0 + excess * excess) + 1.0))
+
+
+def _as_in_nature(shape: Parameter) -> Parameter:
+    if shape.name != "phytoplankton_absorption":
+        return shape
+    return dataclasses.replace(shape, spread=_ALGAL_ABSORPTION)
+
+
+def _unknowns(photos: Sequence[Photo], matrix: bool) -> Parameters:
+    sun = float(np.mean([photo.solar_zenith for photo in photos]))
+    unknowns = [
+        *constituents(),
+        *map(_as_in_nature, shape_nuisances()),
+        pigment_packaging(),
+        Parameter("solar_zenith", max(sun, 1.0), 0.1, Log(), "degree", True),
+        Parameter("sunlight_tilt", 0.0, 0.05, Identity(), "1", True),
+        # What the closed form gets wrong in Kd.  Set by an Ed that erred more than today's; kept,
+        # because the coverage in photo_mismatched.md was measured with it.
+        Parameter("closure", 0.0, 0.035, Identity(), "1", True),
+        # The error of the closed-form path radiance, per channel.
+        *(Parameter(f"veil_{c}", 1.0, 0.06, nuisance=True) for c in "RGB"),
+    ]
+    shift = max(photo.response_shift for photo in photos)
+    if shift > 0:
+        unknowns.append(Parameter("response_shift", 0.0, shift, Identity(), "nm", True))
+    if any(photo.response is None for photo in photos):
+        unknowns += [
+            Parameter(f"response_{i}", 0.0, 1.0, Identity(), nuisance=True) for i in (1, 2, 3)
+        ]
+    if matrix:
+        unknowns += [
+            Parameter(f"mix_{i}{j}", 0.0, 0.3, Identity(), nuisance=True)
+            for i in "RGB"
+            for j in "RGB"
+            if i != j
+        ]
+    if any(photo.exposure is not None for photo in photos):
+        unknowns += [Parameter(f"gain_{c}", 1.0, None, nuisance=True) for c in "RGB"]
+    if any(photo.lamp for photo in photos):
+        # From where on the lamp lights the line of sight: its arm and its cone.
+        unknowns.append(Parameter("blind", 0.2, 0.7, Log(), "m", True))
+    for p, photo in enumerate(photos):
+        unknowns += _of_frame(p, photo)
+    return Parameters(unknowns)
+
+
+def _of_frame(p: int, photo: Photo) -> list[Parameter]:
+    found = [Parameter(f"depth_{p}", photo.depth, photo.depth_sd, Log(), "m", nuisance=True)]
+    if photo.exposure is None:
+        found += [Parameter(f"gain_{p}_{c}", 1.0, None, nuisance=True) for c in "RGB"]
+    else:
+        found.append(Parameter(f"exposure_{p}", 1.0, photo.exposure_sd, nuisance=True))
+    for k, chart in enumerate(photo.charts):
+        # A lamp lights charts by the square of their distance, but for its cone and their tilt.
+        spread = _LAMP_EVENNESS if photo.lamp else 1.0
+        found.append(Parameter(f"chart_{p}_{k}", 1.0, spread, nuisance=True))
+        if chart.distance_sd > 0:
+            found.append(Parameter(f"range_{p}_{k}", 1.0, chart.distance_sd, nuisance=True))
+    if photo.pixels is not None:
+        found += [
+            Parameter(f"albedo_{p}_{k}", 0.0, 1.0, Identity(), nuisance=True)
+            for k in range(ALBEDO_TERMS)
+        ]
+    return found
+
+
+@eqx.filter_jit
+def predict_all(layout, readings, transport, sunlight, x):
+    """Readings of every photograph, and the means of its pixel classes (or None)."""
+    values = layout.values(x)
+    found = []
+    for p, one in enumerate(readings):
+        lit = light_up(values, one, sunlight, p)
+        pixels = None
+        if one.pixels is not None:
+            pixels = predict_pixels(lit, values, one.pixels, transport, p)[0]
+        found.append((predict_lit(lit, values, one, transport, p), pixels))
+    return tuple(found)
+
+
+def _start_gains(parameters: Parameters, readings, transport, sunlight) -> Parameters:
+    """Centre the gains where the model at the priors' centres is as bright as the readings."""
+    centre = parameters.prior().centre
+    at_centre = predict_all(parameters.layout(), readings, transport, sunlight, centre)
+    changes, shared = {}, []
+    for p, (one, (model, pixels)) in enumerate(zip(readings, at_centre, strict=True)):
+        ratio = np.where(np.asarray(one.mask), np.asarray(one.values) / np.asarray(model), np.nan)
+        if pixels is not None:
+            ratio = np.concatenate([ratio, np.asarray(one.pixels.mean) / np.asarray(pixels)])
+        for i, c in enumerate("RGB"):
+            column = ratio[:, i]
+            if np.all(np.isnan(column)):
+                raise ValueError(f"photograph {p} has no usable reading in channel {c}.")
+            if one.exposure is None:
+                name = f"gain_{p}_{c}"
+                changes[name] = Parameter(name, float(np.nanmedian(column)), None, nuisance=True)
+        if one.exposure is not None:
+            shared.append(ratio)
+    if shared:
+        for c, column in zip("RGB", np.concatenate(shared).T, strict=True):
+            name = f"gain_{c}"
+            changes[name] = Parameter(name, float(np.nanmedian(column)), None, nuisance=True)
+    return parameters.replace(changes)
+
+
+def photo_residual(parameters: Parameters, readings, transport, sunlight, prior=None):
+    """The function of (x, values of each photograph) whose square a photo fit minimises.
+
+    `prior`: the numbers of the priors; those of `parameters` unless given.
+    """
+    prior = parameters.prior() if prior is None else prior
+
+    def residual(x, observed):
+        here = eqx.tree_at(lambda all_: [one.values for one in all_], readings, list(observed))
+        return PhotoProblem(parameters.layout(), prior, here, transport, sunlight).residual(x)
+
+    return residual
+
+
+def search(problem: PhotoProblem, start: Float[Array, " unknown"]) -> Optimum:
+    """The optimum of a photo fit.  Pure: jit and vmap it.
+
+    Searches first as if the readings were ten times as uncertain: from the priors' centres, exact
+    readings can drive the first steps into opaque water, from where nothing leads back.  A search
+    that goes on from where a correction was made says itself how blurred, and how firmly held to
+    that point, it is.
+    """
+
+    correction = problem.correction
+    one = jnp.ones((), start.dtype)
+    first = 10.0 if correction is None else correction.blur
+
+    def stage(x, widen):
+        blurred = eqx.tree_at(
+            lambda p: [one.sigma for one in p.readings],
+            problem,
+            [widen * one.sigma for one in problem.readings],
+        )
+
+        def held(x, _):
+            if correction is None:
+                return blurred.residual(x)
+            return jnp.concatenate([blurred.residual(x), correction.hold * correction.away(x)])
+
+        optimum = least_squares(held, x, None, problem.prior.scale)
+        return optimum.x, optimum
+
+    _, stages = jax.lax.scan(stage, start, jnp.stack([jnp.asarray(first, start.dtype), one]))
+    found = jax.tree.map(lambda leaf: leaf[-1], stages)
+    if correction is None:
+        return found
+    # What held the search is no datum.
+    rows = found.residual.shape[0] - start.shape[0]
+    return Optimum(found.x, found.residual[:rows], found.jacobian[:rows], found.code)
+
+
+def prepare(photos: Sequence[Photo], transport, priors=None, matrix: bool = False, sunlight=None):
+    """Unknowns, readings and sunlight of a photo fit: what a `PhotoProblem` is made of."""
+    if sunlight is None:
+        sunlight = oi.spectrum.daylight(WAVELENGTH)
+    sunlight = jnp.asarray(sunlight, dtype=float)
+    readings = tuple(readings_of(photo) for photo in photos)
+    parameters = _unknowns(photos, matrix).replace(priors or {})
+    return _start_gains(parameters, readings, transport, sunlight), readings, sunlight

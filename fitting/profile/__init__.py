@@ -1,0 +1,1 @@
+"""Depth profiles of irradiance to Kd and constituents."""

@@ -1,0 +1,1 @@
+"""Constituents of the water from what casts say."""

@@ -1,0 +1,320 @@
+"""Depth profiles of irradiance to Kd(wl), and to constituents."""
+
+from collections.abc import Mapping
+
+import jax
+import numpy as np
+
+import oceaninv as oi
+from fitting.core.least_squares import sentence
+from fitting.core.multifidelity import EXACT, Demand, corrected, fit_within, scene_at
+from fitting.core.parameters import Log, Parameter, Parameters, modelled_bands, water_unknowns
+from fitting.core.result import Fit, Predictive, Quantity
+from fitting.observations.array_checks import Profile
+from fitting.profile.constituents.from_kd_and_r import unmodelled_notes
+from fitting.profile.constituents.problem import (
+    CastProblem,
+    Samples,
+    describe_cast,
+    lights,
+    solve_cast,
+)
+from fitting.profile.kd.band_fit import BandFit, thickness
+from fitting.profile.kd.batching import Job, fit_lanes, light_of, padded
+from fitting.profile.kd.layer_selection import runs_p, whitened, worth
+from fitting.profile.kd.par_depths import light_of_bands, light_of_sensor, light_quantities
+from fitting.profile.kd.reflectances import Cast, cast_of, cast_quantities, lit, upward_notes
+from fitting.water_model.layered_water import (
+    check_layers,
+    interfaces_of,
+    layer_units,
+    layer_unknowns,
+    roundings,
+)
+from fitting.water_model.quantities import UNITS, quantities_of
+from oceaninv.fidelity.planning import rung
+from oceaninv.transport.base import AbstractTransport
+
+
+def _band_model(profile: Profile, x: np.ndarray, interfaces: np.ndarray) -> np.ndarray:
+    """(depth, wl) what band fits `x` (wl, 1 + layer) say that the sensor reads."""
+    path = thickness(profile.depth, interfaces)
+    light = np.exp(x[None, :, 0] - path @ np.exp(x[:, 1:]).T)
+    return profile.dark + (light if profile.reference is None else profile.reference * light)
+
+
+def fit_profile(
+    profile: Profile,
+    *,
+    transport: AbstractTransport | None = None,
+    priors: dict[str, Parameter] | None = None,
+    depth_range: tuple[float, float] | None = None,
+    layers: int | None = 1,
+    tolerance: float | None = None,
+) -> Fit:
+    """Fit a depth profile of irradiance.
+
+    **Arguments:**
+
+    - `profile`: the cast.
+    - `transport`: `None` fits one Kd and Ed(0-) per band, with no model of the water.  A
+      transport (`oceaninv.TwoStream()`) fits chlorophyll, CDOM and detritus to all bands
+      together through it; Ed(0-) of each band stays free, so that the sun's spectrum and the
+      sensor's calibration do not matter.  Where the profile holds a and c, those and R count too.
+    - `priors`: parameters to exchange by name, for instance a known CDOM:
+      `{"cdom": Parameter("cdom", 0.12, 0.1)}`.
+    - `depth_range`: (low, high) metres; by default each band is used from the surface to the
+      depth where its light has fallen to 10 %.
+    - `layers`: how many layers of constant Kd; None lets the Bayes information criterion choose
+      up to four.  Their interfaces stand in `metadata["interfaces_m"]`, the parameters are
+      "Kd_<nm>_1" and so on downwards, and the quantity "Kd" is the mean over the depths that were
+      used.  With `oceaninv.PlaneParallel()` as the transport each layer has its own constituents,
+      "chlorophyll_1" and so on, and the search goes on to move the interfaces
+      ("thickness_1", ...); shapes of optical properties are those of all layers.
+    - `tolerance`: instead of a transport, the largest relative error of Ed that it may bring: the
+      cheapest that is good enough for the water found is taken, see `oceaninv.plan`, and what it
+      gets wrong there is corrected by one to three looks at the exact light; which, its predicted
+      error and the correction stand in `metadata["plan"]`.
+
+    **Returns** a `Fit` with the quantity "Kd" at the profile's wavelengths (which mean it is
+    stands in `metadata["kd_definition"]`).  Without a transport also Ed(0-); where the profile
+    holds them, of Eu Ku, Eu(0-) and R, of Lu KLu, Lu(0-), Rrs and nLw; with PAR or bands that span
+    it the depths Z_10 and Z_eu of 10 and 1 % of it.  With a transport also Kd(490), c(550),
+    bb(550) and a_cdm(440) of the water, from the bands of 380-780 nm, in which all absorption is
+    tabulated; other bands are left out and named in `metadata["bands_not_modelled_nm"]`.
+    """
+    if layers != 1:
+        if tolerance is not None:
+            raise ValueError("a tolerance chooses among models of one water: leave out layers.")
+        if transport is not None:
+            check_layers(transport)
+    if transport is None and tolerance is None and priors:
+        raise ValueError("priors apply to a fit through a transport; Kd alone has none.")
+    if len(profile.beam_wavelength) and tolerance is not None:
+        raise ValueError("a and c are fitted through a transport that is named, not a tolerance.")
+    if len(profile.beam_wavelength) and transport is not None:
+        if layers != 1:
+            raise ValueError("a and c are fitted to one water: leave them or the layers out.")
+        from fitting.profile.fit_profiles import fit_profiles
+
+        options = {"depth_range": depth_range, "transport": transport, "priors": priors}
+        return fit_profiles([profile], **options).water(0)
+    outside = {}
+    if transport is not None or tolerance is not None:
+        bands = modelled_bands(profile.wavelength)
+        outside = unmodelled_notes(profile.wavelength, bands)
+        profile = profile if bands.all() else profile.of_bands(bands)
+    cast = cast_of(profile, depth_range, layers)
+    if tolerance is not None:
+        (bands,) = fit_lanes([cast.job])
+
+        def solve(model, start, ratio=None):
+            metadata = _metadata(cast, bands) | {"transport": type(model).__name__} | outside
+            return _constituent_fit(cast, bands, model, priors, metadata, start, ratio)
+
+        def scene(fit):
+            return scene_at(fit.parameters, fit.x, profile.wavelength)
+
+        fit, chosen = fit_within(tolerance, transport, solve, scene, [Demand("irradiance")])
+        return _corrected(fit, chosen, solve, profile)
+    if transport is None:
+        return kd_fit(cast, {kind: fit_lanes([job])[0] for kind, job in cast.jobs.items()})
+    (bands,) = fit_lanes([cast.job])
+    metadata = _metadata(cast, bands) | {"transport": type(transport).__name__} | outside
+    return _constituent_fit(cast, bands, transport, priors, metadata)
+
+
+def _used(job: Job, bands: BandFit) -> np.ndarray:
+    """(depth, wl) the samples of the window that were not outliers."""
+    used = np.zeros_like(job.mask)
+    used[: job.rows] = bands.used[:, : job.rows].T
+    return used & job.mask
+
+
+def _metadata(cast: Cast, bands: BandFit) -> dict:
+    job, profile = cast.job, cast.job.profile
+    used = _used(job, bands)
+    counts = dict(profile.counts)
+    counts["missing, zero or negative"] = profile.masked
+    counts["outliers"] = int((job.mask & ~used).sum())
+    metadata = {
+        "source": profile.source,
+        "kd_definition": cast.definition,
+        "depths_used": [int(n) for n in job.mask.sum(axis=0)],
+        "deepest_used_m": [float(profile.depth[m].max()) for m in job.mask.T],
+        "masked_values": profile.masked,
+        "left_out": {reason: count for reason, count in counts.items() if count},
+        "dark_level": profile.dark.tolist(),
+        "surface_reference": "none" if profile.reference is None else "slow changes divided out",
+        "self_shading_and_immersion": "not applied",
+        "relative_noise": ([float(s) for s in bands.noise] if profile.sigma is None else "given"),
+        "noise_correlated_over_m": [float(s) for s in bands.length],
+    }
+    if profile.tilt is not None:
+        metadata["largest_tilt_degrees"] = float(np.nanmax(profile.tilt))
+    return metadata
+
+
+def _kd_parameters(wavelength: np.ndarray, x: np.ndarray) -> Parameters:
+    """Ed0 of all bands, then Kd of all bands in the first layer, and so on downwards."""
+    count = x.shape[1] - 1
+    rows = [("Ed0_{:g}", "W m-2 nm-1", True)]
+    rows += [("Kd_{:g}" + (f"_{i + 1}" if count > 1 else ""), "m-1", False) for i in range(count)]
+    return Parameters(
+        [
+            Parameter(name.format(wl), float(np.exp(value)), unit=unit, nuisance=nuisance)
+            for (name, unit, nuisance), column in zip(rows, x.T, strict=True)
+            for wl, value in zip(wavelength, column, strict=True)
+        ]
+    )
+
+
+def light_depths(cast: Cast, bands: BandFit) -> tuple[dict[str, Quantity], dict]:
+    """PAR below the surface and the depths of 10 and 1 % of it, where the data allow, and notes."""
+    sensor = light_of_sensor(cast.job.profile)
+    light = sensor or light_of_bands(cast.job, bands, lit(cast.job))
+    return ({}, {}) if light is None else light_quantities(light, sensor is not None)
+
+
+def kd_fit(cast: Cast, fits: Mapping[str, BandFit]) -> Fit:
+    """The fit of Kd, and of K of upward light where there is any, as a `Fit`."""
+    job, bands = cast.job, fits["Ed"]
+    profile, mask, interfaces = job.profile, job.mask, job.interfaces
+    x, cov = np.asarray(bands.x), np.asarray(bands.covariance)
+    n, unknowns = x.shape
+    parameters = _kd_parameters(profile.wavelength, x)
+    full = np.zeros((unknowns * n, unknowns * n))
+    order = np.arange(n)
+    for i in range(unknowns):
+        for j in range(unknowns):
+            full[order + i * n, order + j * n] = cov[:, i, j]
+    bright = lit(job)
+    dof = None if profile.sigma is not None else np.tile(bands.dof, unknowns)
+    quantities = cast_quantities(cast, fits)
+    depths, notes = light_depths(cast, bands)
+    model = _band_model(profile, x, interfaces)
+    metadata = _metadata(cast, bands) | notes
+    metadata |= upward_notes(cast)
+    metadata["interfaces_m"] = interfaces.tolist()
+    metadata["bands_without_light_nm"] = profile.wavelength[~bright].tolist()
+    metadata["bands_not_converged_nm"] = profile.wavelength[bands.code != 0].tolist()
+    predictive = _predictive(profile, mask, bands, model)
+    left = (predictive.observed - model) / predictive.sd
+    left = np.where(_used(job, bands), left, np.nan)
+    white = whitened(left, profile.depth, np.nan_to_num(bands.length))
+    # Noise may be independent or waves of the length found: the test rejects what is neither.
+    metadata["runs_test_p"] = [
+        max(map(runs_p, columns)) for columns in zip(left.T, white.T, strict=True)
+    ]
+    return Fit(
+        parameters,
+        x.T.reshape(-1),
+        full,
+        quantities | depths,
+        profile.wavelength,
+        sentence(bands.code[bright].max(initial=0)),
+        predictive,
+        metadata,
+        dof,
+    )
+
+
+def _noise_sd(profile: Profile, bands: BandFit, model: np.ndarray) -> np.ndarray:
+    if profile.sigma is not None:
+        return profile.sigma
+    return np.hypot(bands.noise * (model - profile.dark), profile.floor)
+
+
+def _predictive(profile, mask, bands, model) -> Predictive:
+    observed = np.where(mask, profile.Ed, np.nan)
+    return Predictive(
+        observed,
+        model,
+        _noise_sd(profile, bands, model),
+        ("depth", "wavelength"),
+        "W m-2 nm-1",
+        {"depth": profile.depth},
+    )
+
+
+def _unknowns(job: Job, bands: BandFit, priors) -> Parameters:
+    profile, surface = job.profile, np.exp(bands.x[:, 0])
+    zenith, layers = profile.solar_zenith, job.interfaces.tolist()
+    parameters = Parameters(
+        [
+            *(layer_unknowns(layers, zenith) if layers else water_unknowns(zenith)),
+            *(
+                Parameter(f"Ed0_{wl:g}", float(e), None, Log(), "W m-2 nm-1", True)
+                for wl, e in zip(profile.wavelength, surface, strict=True)
+            ),
+        ]
+    )
+    return parameters.replace(priors or {})
+
+
+def _corrected(fit: Fit, transport: AbstractTransport, solve, profile: Profile) -> Fit:
+    """`fitting.core.multifidelity.corrected` by the light at the profile's depths."""
+    if rung(transport) == rung(oi.PlaneParallel(EXACT.streams, 1)):
+        return fit
+    layout, grid = fit.parameters.layout(), tuple(profile.wavelength.tolist())
+    count = len(profile.depth)
+    depth = jax.device_put(np.pad(profile.depth, (0, padded(count) - count)))
+
+    def look(x):
+        cheap, true = lights(layout, grid, (transport, EXACT), jax.device_put(x), depth)
+        ratio = np.where(np.asarray(cheap) > 0, np.asarray(true) / np.asarray(cheap), 1.0)
+        return ratio, float(np.max(np.abs(ratio[:count] - 1.0)))
+
+    return corrected(fit, EXACT, look, lambda x, ratio: solve(transport, x, ratio))
+
+
+def _constituent_fit(cast: Cast, bands, transport, priors, metadata, start=None, ratio=None) -> Fit:
+    profile, interfaces = cast.job.profile, cast.job.interfaces
+    mask = _used(cast.job, bands)
+    parameters = _unknowns(cast.job, bands, priors)
+    model = _band_model(profile, bands.x, interfaces)
+    extra = padded(len(profile.depth)) - len(profile.depth)
+
+    def pad(array, fill):
+        widths = [(0, extra)] + [(0, 0)] * (array.ndim - 1)
+        return jax.device_put(np.pad(array, widths, constant_values=fill))
+
+    # The model knows neither darkness nor changes of the sun: the data are rid of them.
+    light = light_of(profile)
+    reference = 1.0 if profile.reference is None else profile.reference
+    sd = _noise_sd(profile, bands, model) / reference * worth(profile.depth, mask, bands.length)
+    samples = Samples(
+        pad(profile.depth, 0.0),
+        pad(np.where(mask, light, 1.0), 1.0),
+        pad(np.where(mask, sd, 1.0), 1.0),
+        pad(mask, False),
+        pad(np.ones_like(light), 1.0) if ratio is None else jax.device_put(ratio),
+    )
+    reach, rounding, units = None, None, UNITS
+    if len(interfaces):
+        rounding = jax.device_put(roundings(interfaces, profile.depth))
+        deepest = np.array([profile.depth[m].max() for m in mask.T])
+        reach, units = jax.device_put(deepest), layer_units(len(interfaces) + 1)
+    prior, grid = parameters.prior(), tuple(profile.wavelength.tolist())
+    start = prior.centre if start is None else jax.device_put(start)
+    problem = CastProblem(parameters.layout(), grid, transport, prior, samples, reach, rounding)
+    describe_cast.prepare(problem, start)
+    optimum, cov, fitted = solve_cast(problem, start)
+    values, slopes = describe_cast(problem, optimum.x)
+    cov = np.asarray(cov)
+    quantities, sensitivity = quantities_of(values, slopes, parameters, cov, units=units)
+    if len(interfaces):
+        moved = interfaces_of(parameters, np.asarray(optimum.x))
+        metadata = metadata | {"interfaces_m": moved, "kd_definition": units["Kd"][1]}
+    return Fit(
+        parameters,
+        np.asarray(optimum.x),
+        cov,
+        quantities,
+        profile.wavelength,
+        sentence(optimum.code),
+        _predictive(profile, mask, bands, np.asarray(fitted)[: len(profile.depth)]),
+        metadata,
+        sensitivity=sensitivity,
+        problem=problem,
+    )

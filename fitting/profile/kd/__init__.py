@@ -1,0 +1,1 @@
+"""Kd of single bands, and the reflectances that follow."""

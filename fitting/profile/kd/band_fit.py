@@ -1,0 +1,321 @@
+"""Kd of every band by itself: an exponential, or one exponential per layer of the water.
+
+What one sensor saw on its way down,
+
+    Ed_i = s_i Ed(0-) e^(-Kd z_i) (1 + waves_i) + dark + electronics_i,
+
+with s the light above the surface relative to its median.  Waves focus light: their part is
+relative, may be larger near the surface and is correlated over depth.
+"""
+
+import functools
+import itertools
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+from fitting.core.program_cache import kept
+
+RELATIVE_NOISE = 0.05
+# Standard deviations beyond which a reading is an outlier: one in 16,000 good ones is lost.
+CUT = 4.0
+_START_ROUNDS = 5
+# With given errors only the curve has to converge, else the noise too.
+_ROUNDS_GIVEN, _ROUNDS = 5, 12
+_SETTLED = 4
+_LEAST_LN_KD, _LARGEST_LN_KD = -46.0, 8.0
+_LARGEST_LN_ED = 300.0
+# Candidates for the waves: correlation lengths in median spacings, and how the relative noise
+# rises towards the surface, 1 + gain e^(-z / (share of the range)).
+_LENGTHS = (0.0, 0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0)
+_LONGEST = 1 / 5  # of the range: longer waves cannot be told from the water
+_RISES = ((0.0, 1.0), (2.0, 0.1), (4.0, 0.05))
+_MOST_CORRELATED = 0.98
+# Prior odds of correlated against independent noise (no preference), and of rising against even.
+_ODDS_CORRELATED, _ODDS_RISING = 1.0, 0.2
+
+
+class Lanes(eqx.Module):
+    """Bands of casts side by side, samples by depth, padded at the end.
+
+    `depth` m; `Ed`; `reference`: s above; `sigma`: standard deviations of Ed, None to estimate
+    them; `floor`: of the electronics; `dark`, `dark_sd`: reading in darkness and how well it is
+    known (0: not in question); `mask`; `interfaces`: m, ascending, between layers of constant Kd.
+    """
+
+    depth: Float[Array, "*lane depth"]
+    Ed: Float[Array, "*lane depth"]
+    reference: Float[Array, "*lane depth"]
+    sigma: Float[Array, "*lane depth"] | None
+    floor: Float[Array, "*lane"]
+    dark: Float[Array, "*lane"]
+    dark_sd: Float[Array, "*lane"]
+    mask: Bool[Array, "*lane depth"]
+    interfaces: Float[Array, "*lane interface"]
+
+
+class BandFit(eqx.Module):
+    """Fits of lanes: `x` = (ln Ed(0-), ln Kd of each layer), each with a leading lane axis.
+
+    - `noise`: relative, without the electronics.
+    - `dof`: how many independent samples the noise was estimated from, less the unknowns.
+    - `length`: m over which the waves are correlated, mean over the candidates, 0 if they are not.
+    - `used`: samples that were not outliers.
+    - `code`: index into `fitting.core.least_squares.RESULTS`.
+    """
+
+    x: Float[Array, "*lane unknown"]
+    covariance: Float[Array, "*lane unknown unknown"]
+    noise: Float[Array, "*lane"]
+    dof: Float[Array, "*lane"]
+    length: Float[Array, "*lane"]
+    used: Bool[Array, "*lane depth"]
+    code: Int[Array, "*lane"]
+
+
+def thickness(depth, interfaces):
+    """(..., layer): how far above each `depth` (m) each layer reaches; their sum is the depth.
+
+    numpy in, numpy out.
+    """
+    xp = np if isinstance(depth, np.ndarray) else jnp
+    edges = [0.0, *xp.asarray(interfaces, depth.dtype)]
+    reaches = [xp.maximum(depth - top, 0.0) for top in edges]
+    limits = [below - top for top, below in itertools.pairwise(edges)]
+    return xp.stack([*map(xp.minimum, reaches[:-1], limits), reaches[-1]], axis=-1)
+
+
+@kept
+def fit_bands(lanes: Lanes) -> BandFit:
+    """Maximum likelihood for every lane by itself; one compiled program for a padded batch.
+
+    The standard deviation is evaluated at the model, not at the noisy datum (which would favour
+    low readings).  A robust start (least absolute deviations of ln Ed), then Gauss-Newton with
+    outliers left out, in a fixed number of rounds: no lane waits for another.  Where the noise is
+    estimated, the answer is the mean over candidates for the waves' rise and correlation, weighted
+    by their restricted likelihood, and its covariance holds their disagreement.
+    """
+    return jax.vmap(_fit_lane)(lanes)
+
+
+def _signal(x, path, reference):
+    Kd = jnp.exp(jnp.clip(x[1:], _LEAST_LN_KD, _LARGEST_LN_KD))
+    return reference * jnp.exp(
+        jnp.clip(x[0], -_LARGEST_LN_ED, _LARGEST_LN_ED) - jnp.sum(path * Kd[None, :], axis=1)
+    )
+
+
+def band_residual(x, args):
+    """Misfit of one band in standard deviations, 0 where masked."""
+    path, Ed, sd, mask = args
+    return jnp.where(mask, (Ed - _signal(x, path, jnp.ones_like(Ed))) / sd, 0.0)
+
+
+def _inverse(matrix):
+    """Inverse and ln det of a small positive matrix by Gauss-Jordan, unrolled: no call per lane."""
+    n = matrix.shape[-1]
+    scale = jnp.sqrt(jnp.maximum(jnp.diagonal(matrix), 1e-150))
+    identity = jnp.eye(n, dtype=matrix.dtype)
+    rows = jnp.concatenate([matrix / (scale[:, None] * scale[None, :]), identity], axis=1)
+    volume = 2.0 * jnp.sum(jnp.log(scale))
+    for i in range(n):
+        pivot = jnp.maximum(rows[i, i], 1e-13)
+        volume += jnp.log(pivot)
+        row = rows[i] / pivot
+        rows = rows - (rows[:, i] - identity[i])[:, None] * row[None, :]
+    return rows[:, n:] / (scale[:, None] * scale[None, :]), volume
+
+
+def _weighted(jacobian, weight, right):
+    """(J^T W J, J^T W r) as sums of products: faster in a batch than small matrix products."""
+    moved = (jacobian * weight[:, None]).T
+    return moved @ jacobian, moved @ right
+
+
+def _start(path, y, weight):
+    """Least absolute deviations through ln Ed: (intercept, ln slopes), slopes kept positive."""
+    design = jnp.concatenate([jnp.ones_like(y)[:, None], -path], axis=1)
+
+    def refine(_, carry):
+        beta, robust = carry
+        matrix, right = _weighted(design, weight * robust, y)
+        ridge = jnp.diag(1e-9 * jnp.diagonal(matrix) + 1e-12)
+        beta = _inverse(matrix + ridge)[0] @ right
+        return beta, 1.0 / jnp.maximum(jnp.abs(y - design @ beta), 0.2 * RELATIVE_NOISE)
+
+    zero = jnp.zeros(design.shape[1], y.dtype)
+    beta, _ = jax.lax.fori_loop(0, _START_ROUNDS, refine, (zero, jnp.ones_like(y)))
+    return jnp.concatenate([beta[:1], jnp.log(jnp.maximum(beta[1:], 1e-4))])
+
+
+def _median(values, mask):
+    """Median of the masked-in values."""
+    count = jnp.sum(mask)
+    ordered = jnp.sort(jnp.where(mask, values, jnp.inf))
+    return 0.5 * (ordered[(count - 1) // 2] + ordered[count // 2])
+
+
+def _fit_lane(lane: Lanes):
+    path = thickness(lane.depth, lane.interfaces)
+    unknowns = path.shape[1] + 1
+    given = lane.sigma is not None
+    mask, count = lane.mask, jnp.sum(lane.mask).astype(lane.Ed.dtype)
+    lit = jnp.where(mask, (lane.Ed - lane.dark) / lane.reference, 1.0)
+    positive = jnp.maximum(lit, 1e-3 * jnp.maximum(lane.floor, 1e-300))
+    expected = (RELATIVE_NOISE * positive) ** 2 + lane.floor**2
+    if lane.sigma is not None:
+        # The errors are given for Ed; `lit` is relative to the light above.
+        expected = (jnp.where(mask, lane.sigma, 1.0) / lane.reference) ** 2
+    relative = positive**2 / expected
+    x = _start(path, jnp.log(positive), jnp.where(mask & (lit > 0), relative, 0.0))
+
+    def spread(signal, noise, rise=1.0):
+        if lane.sigma is not None:
+            return jnp.where(mask, lane.sigma, 1.0)
+        return jnp.sqrt((noise * rise * signal) ** 2 + lane.floor**2)
+
+    def linear(state):
+        """Signal and its slopes, and the misfit, at (x, dark in its standard deviations)."""
+        signal = _signal(state[:-1], path, lane.reference)
+        Kd = jnp.exp(jnp.clip(state[1:-1], _LEAST_LN_KD, _LARGEST_LN_KD))
+        dark = jnp.broadcast_to(lane.dark_sd, signal.shape)
+        slopes = jnp.concatenate([jnp.ones_like(dark)[:, None], -path * Kd[None, :]], axis=1)
+        misfit = lane.Ed - signal - lane.dark - state[-1] * lane.dark_sd
+        return signal, jnp.concatenate([slopes * signal[:, None], dark[:, None]], axis=1), misfit
+
+    state = jnp.concatenate([x, jnp.zeros_like(x[:1])])
+    dark_prior = jnp.zeros_like(state).at[-1].set(1.0)
+    bounds = [
+        jnp.full_like(state, ln_kd).at[0].set(ln_ed)
+        for ln_kd, ln_ed in ((_LEAST_LN_KD, -_LARGEST_LN_ED), (_LARGEST_LN_KD, _LARGEST_LN_ED))
+    ]
+    signal, _, misfit = linear(state)
+    size = jnp.abs(misfit) / spread(signal, RELATIVE_NOISE)
+    scale = jnp.maximum(1.4826 * _median(size, mask), 1e-4)
+    noise = jnp.minimum(RELATIVE_NOISE * scale, 1.0)
+    # Given errors may be too small; they must not make outliers of everything.
+    scale = jnp.maximum(scale, 1.0) if given else jnp.ones_like(scale)
+
+    rounds = _ROUNDS_GIVEN if given else _ROUNDS
+
+    def refine(carry, step):
+        state, noise, used = carry
+        signal, jacobian, misfit = linear(state)
+        sd = spread(signal, noise)
+        # In the last rounds the choice stands, lest a sample at the limit come and go for ever.
+        now = mask & (jnp.abs(misfit) < CUT * scale * sd)
+        used = now if given else jnp.where(step < rounds - _SETTLED, now, used)
+        weight = jnp.where(used, 1.0 / sd**2, 0.0)
+        matrix, right = _weighted(jacobian, weight, misfit)
+        matrix, right = matrix + jnp.diag(dark_prior), right - dark_prior * state
+        move = jnp.clip(_inverse(matrix)[0] @ right, -1.0, 1.0)
+        if not given:
+            freedom = jnp.maximum(jnp.sum(used) - unknowns, 1).astype(noise.dtype)
+            excess = jnp.sum(weight * misfit**2) / freedom
+            updated = jnp.clip(noise * jnp.sqrt(excess), 1e-5, 1.0)
+            # The first rounds still move the curve: the robust scale holds meanwhile.
+            noise = jnp.where(step < 3, noise, updated)
+        # A band without light runs away: it stays finite here and ends as not converged.
+        return (jnp.clip(state + move, *bounds), noise, used), move @ matrix @ move
+
+    (state, noise, _), moved = jax.lax.scan(refine, (state, noise, mask), jnp.arange(rounds))
+    signal, jacobian, misfit = linear(state)
+    sd = spread(signal, noise)
+    used = mask & (jnp.abs(misfit) < CUT * scale * sd)
+    code = jnp.where(jnp.isfinite(moved[-1]), jnp.where(moved[-1] < 1e-4, 0, 1), 2)
+    if given:
+        matrix, _ = _weighted(jacobian, jnp.where(used, 1.0 / sd**2, 0.0), misfit)
+        covariance = _inverse(matrix + jnp.diag(dark_prior))[0]
+        freedom, length = count - unknowns, jnp.zeros_like(noise)
+    else:
+
+        def improve(carry, _):
+            state, used = carry
+            signal, jacobian, misfit = linear(state)
+            sd_of = functools.partial(spread, signal)
+            found = _averaged(lane, state, jacobian, misfit, noise, used, sd_of)
+            # Strong waves near the surface are no outliers once they are seen to be usual there.
+            used = mask & (jnp.abs(misfit) < CUT * found[-1])
+            return (state + found[0], used), (*found[1:-1], used)
+
+        (state, _), found = jax.lax.scan(improve, (state, used), None, length=2)
+        covariance, noise, freedom, length, used = jax.tree.map(lambda leaf: leaf[-1], found)
+    return BandFit(
+        jnp.clip(state, *bounds)[:-1],
+        covariance[:-1, :-1],
+        noise,
+        freedom,
+        length,
+        used,
+        code.astype(jnp.int32),
+    )
+
+
+def _averaged(lane, state, jacobian, misfit, noise, used, spread):
+    """Mean over the candidates for the waves, each by generalised least squares.
+
+    Returns the step from `state`, its covariance, relative noise, degrees of freedom, mean length,
+    and the standard deviations of the likeliest candidate.
+    """
+    index = jnp.arange(len(lane.depth))
+    last = jax.lax.cummax(jnp.where(used, index, -1))
+    before = jnp.concatenate([jnp.full_like(last[:1], -1), last[:-1]])
+    first = before < 0
+    before = jnp.maximum(before, 0)
+    gap = lane.depth - lane.depth[before]
+    top = jnp.min(jnp.where(used, lane.depth, jnp.inf))
+    reach = jnp.max(jnp.where(used, lane.depth, -jnp.inf)) - top
+    spacing = _median(gap, used & ~first & (gap > 0))
+    spacing = jnp.where(jnp.isfinite(spacing), spacing, reach)
+    n = jnp.sum(used).astype(misfit.dtype)
+    p = state.shape[0]
+    freedom = jnp.maximum(n - (p - 1), 1.0)
+
+    def candidate(steps, gain, share):
+        rise = 1.0 + gain * jnp.exp(-(lane.depth - top) / (share * jnp.maximum(reach, 1e-6)))
+        even = jnp.sqrt(jnp.sum(jnp.where(used, rise**2, 0.0)) / n)
+        sd = spread(noise, rise / even)
+        length = steps * spacing
+        rho = jnp.exp(-gap / jnp.maximum(length, 1e-9 * jnp.maximum(spacing, 1e-9)))
+        rho = jnp.where(first | (steps == 0), 0.0, jnp.minimum(rho, _MOST_CORRELATED))
+        rest = jnp.sqrt(1.0 - rho**2)
+
+        scaled = jnp.concatenate([jacobian, misfit[:, None]], axis=1) / sd[:, None]
+        scaled = jnp.where(used[:, None], scaled, 0.0)
+        whitened = (scaled - rho[:, None] * scaled[before]) / rest[:, None]
+        whitened = jnp.where(used[:, None], whitened, 0.0)
+        whitened, right = whitened[:, :-1], whitened[:, -1]
+        # The dark level is known by itself: one more independent observation.
+        prior = jnp.zeros(p, misfit.dtype).at[-1].set(1.0)
+        matrix, slope = _weighted(whitened, jnp.ones_like(misfit), right)
+        inverse, volume_of = _inverse(matrix + jnp.diag(prior))
+        move = inverse @ (slope - prior * state)
+        square = jnp.maximum(
+            jnp.sum((right - jnp.sum(whitened * move[None, :], axis=1)) ** 2), 1e-300
+        )
+        scale = square / freedom
+        volume = jnp.sum(jnp.where(used, jnp.log(sd) + jnp.log(rest), 0.0))
+        likelihood = -0.5 * (freedom * jnp.log(square) + volume_of) - volume
+        allowed = (steps == 0) | (length <= _LONGEST * reach)
+        prior_weight = jnp.where(steps == 0, 0.0, jnp.log(_ODDS_CORRELATED / (len(_LENGTHS) - 1.0)))
+        prior_weight += jnp.where(gain == 0, 0.0, jnp.log(_ODDS_RISING / (len(_RISES) - 1.0)))
+        likelihood = jnp.where(allowed, likelihood + prior_weight, -jnp.inf)
+        middle = jnp.exp(-spacing / jnp.maximum(length, 1e-9 * spacing))
+        middle = jnp.where(steps == 0, 0.0, jnp.minimum(middle, _MOST_CORRELATED))
+        share_left = (1.0 - middle) / (1.0 + middle)
+        return likelihood, move, scale * inverse, scale, share_left, length, jnp.sqrt(scale) * sd
+
+    grid = [(s, g, w) for s in _LENGTHS for g, w in _RISES]
+    columns = [jnp.asarray(column, misfit.dtype) for column in zip(*grid, strict=True)]
+    likelihood, move, inverse, scale, share, length, sd = jax.vmap(candidate)(*columns)
+    weight = jax.nn.softmax(likelihood)
+    mean = weight @ move
+    apart = move - mean[None, :]
+    covariance = jnp.einsum("k,kij->ij", weight, inverse + apart[:, :, None] * apart[:, None, :])
+    freedom = jnp.maximum((weight @ share) * freedom, 1.0)
+    noise = noise * jnp.sqrt(weight @ scale)
+    best = jnp.argmax(likelihood)
+    return mean, covariance, noise, freedom, weight @ length, sd[best]

@@ -1,0 +1,167 @@
+"""Casts to lanes and back: windows, padding to shared shapes, chunks of one size."""
+
+import dataclasses
+import functools
+from collections.abc import Sequence
+
+import jax
+import numpy as np
+
+from fitting.observations.array_checks import MIN_DEPTHS, Profile
+from fitting.profile.kd.band_fit import BandFit, Lanes, fit_bands
+from fitting.profile.kd.layer_selection import filled, ninther
+
+# Lanes of one compiled call for many casts of up to 128 depths; of longer ones fewer.
+MOST = 1024
+
+
+def light_of(profile: Profile) -> np.ndarray:
+    """(depth, wl) irradiance less darkness, over the light above."""
+    light = profile.Ed - profile.dark
+    return light if profile.reference is None else light / profile.reference
+
+
+def light_level_mask(profile: Profile, level: float = 0.1) -> np.ndarray:
+    """(depth, wl) mask of the samples above the depth where Ed falls to `level` of its maximum.
+
+    The maximum and the crossing are taken on a running median of nine, which single waves do not
+    move.  A band that never falls so far, or does so within 5 samples, is used as it is.
+    """
+    mask = profile.mask
+    smooth = filled(np.where(mask, light_of(profile), 0.0), mask)
+    smooth = ninther(smooth) if len(smooth) >= 5 else smooth
+    top = np.max(np.where(mask, smooth, -np.inf), axis=0)
+    dark = mask & (smooth < level * top) & (np.cumsum(mask, axis=0) > MIN_DEPTHS)
+    return mask & ~np.logical_or.accumulate(dark, axis=0)
+
+
+def window(profile: Profile, depth_range) -> tuple[np.ndarray, str]:
+    """The samples to use, (depth, wl), and which mean Kd they make."""
+    if depth_range is None:
+        return light_level_mask(profile), "mean from the surface to the depth of 10 % light"
+    low, high = depth_range
+    mask = profile.mask & ((profile.depth >= low) & (profile.depth <= high))[:, None]
+    for band, count in zip(profile.wavelength, mask.sum(axis=0), strict=True):
+        if count < MIN_DEPTHS:
+            raise ValueError(
+                f"depth_range {low:g}-{high:g} m leaves {count} usable depths at {band:g} nm; at "
+                f"least {MIN_DEPTHS} are needed."
+            )
+    return mask, f"mean over {low:g} to {high:g} m"
+
+
+def padded(count: int) -> int:
+    """Depths are padded to a power of two, so that casts of many lengths share a program."""
+    return max(32, 1 << (count - 1).bit_length())
+
+
+@dataclasses.dataclass(frozen=True)
+class Job:
+    """One cast, the samples to use and where its layers meet."""
+
+    profile: Profile
+    mask: np.ndarray
+    interfaces: np.ndarray
+
+    @property
+    def shape(self) -> tuple[int, bool, int]:
+        """What decides which program fits it: depths, whether errors are given, interfaces."""
+        return padded(self.rows), self.profile.sigma is not None, len(self.interfaces)
+
+    @functools.cached_property
+    def rows(self) -> int:
+        """Rows down to the deepest sample used."""
+        return int(np.flatnonzero(self.mask.any(axis=1))[-1]) + 1
+
+
+def lanes_of(jobs: Sequence[Job], lanes: int | None = None) -> Lanes:
+    """Lanes of casts that share a shape, one per band; `lanes`: padded to so many."""
+    size, given, interfaces = jobs[0].shape
+    count = sum(len(job.profile.wavelength) for job in jobs)
+    total = lanes or count
+
+    def blank(fill, dtype: type = float, *shape: int):
+        return np.full((total, *shape), fill, dtype)
+
+    depth, Ed, reference = (blank(fill, float, size) for fill in (0.0, 1.0, 1.0))
+    sigma = blank(1.0, float, size) if given else None
+    mask, edges = blank(False, bool, size), blank(1.0, float, interfaces)
+    floor, dark, dark_sd = blank(0.0), blank(0.0), blank(0.0)
+    at = 0
+    for job in jobs:
+        profile, n = job.profile, job.rows
+        to = slice(at, at + len(profile.wavelength))
+        used = job.mask[:n].T
+        # The last depth goes on through the padding, so that depths ascend.
+        depth[to] = profile.depth[n - 1]
+        depth[to, :n] = profile.depth[:n]
+        mask[to, :n] = used
+        Ed[to, :n] = np.where(used, profile.Ed[:n].T, 1.0)
+        if profile.reference is not None:
+            reference[to, :n] = np.where(used, profile.reference[:n].T, 1.0)
+        if sigma is not None and profile.sigma is not None:
+            sigma[to, :n] = np.where(used, profile.sigma[:n].T, 1.0)
+        floor[to], dark[to], dark_sd[to] = profile.floor, profile.dark, profile.dark_sd
+        edges[to] = job.interfaces
+        at = to.stop
+    if at < total:
+        # Idle lanes of a chunk hold a plain exponential.
+        depth[at:] = np.linspace(0.0, 1.0, size)
+        Ed[at:], mask[at:] = np.exp(-depth[at:]), True
+        edges[at:] = np.linspace(0.3, 0.7, interfaces)
+    arrays = (depth, Ed, reference, sigma, floor, dark, dark_sd, mask, edges)
+    # device_put, unlike jnp.asarray, compiles nothing.
+    return Lanes(*jax.device_put(arrays))
+
+
+def fit_lanes(jobs: Sequence[Job]) -> list[BandFit]:
+    """Fits of casts, each with a leading band axis; many go in chunks of one size.
+
+    The result of a cast does not depend on the others: a chunk is many independent lanes, and
+    which program runs depends on the cast's own shape.
+    """
+    if len(jobs) == 1:
+        return [_numpy(fit_bands(lanes_of(jobs)))]
+    shapes = [job.shape for job in jobs]
+    bands = [len(job.profile.wavelength) for job in jobs]
+    fits: dict[int, BandFit] = {}
+
+    def run(group: list[int]) -> None:
+        chunk = _chunk(shapes[group[0]][0])
+        total = chunk * -(-sum(bands[i] for i in group) // chunk)
+        done = _numpy(fit_bands(_spread(lanes_of([jobs[i] for i in group], total))))
+        at = 0
+        for i in group:
+            to = slice(at, at + bands[i])
+            fits[i] = jax.tree.map(lambda array, to=to: array[to], done)
+            at = to.stop
+
+    group: list[int] = []
+    filled_lanes = 0
+    for i in sorted(range(len(jobs)), key=lambda i: shapes[i]):
+        full = filled_lanes + bands[i] > _chunk(shapes[i][0])
+        if group and (shapes[i] != shapes[group[0]] or full):
+            run(group)
+            group, filled_lanes = [], 0
+        group.append(i)
+        filled_lanes += bands[i]
+    run(group)
+    return [fits[i] for i in range(len(jobs))]
+
+
+def _chunk(rows: int) -> int:
+    """Lanes that are fitted together: memory grows with their depths."""
+    return max(MOST * 128 // max(rows, 128), 16)
+
+
+def _numpy(fit: BandFit) -> BandFit:
+    return jax.tree.map(np.asarray, fit)
+
+
+def _spread(lanes: Lanes) -> Lanes:
+    """Lanes shared out over the local devices, where there are several."""
+    devices = jax.local_devices()
+    if len(devices) == 1 or len(lanes.dark) % len(devices):
+        return lanes
+    mesh = jax.sharding.Mesh(np.array(devices), ("lane",))
+    return jax.device_put(lanes, jax.NamedSharding(mesh, jax.sharding.PartitionSpec("lane")))

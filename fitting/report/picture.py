@@ -1,0 +1,312 @@
+"""Results as files: CF-style datasets and pictures, written whole or not at all."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from fitting.core.result import Fit, Quantity
+from fitting.files import netcdf_writer
+from fitting.report._bulk_picture import draw_coefficients
+from oceaninv.foundation.atomic_write import atomic_write, save_figure
+
+if TYPE_CHECKING:
+    import xarray
+
+    from fitting.profile.kd.smooth_kd import SmoothKd
+
+STANDARD_NAMES = {
+    "Kd": "volume_attenuation_coefficient_of_downwelling_radiative_flux_in_sea_water",
+    "c": "volume_beam_attenuation_coefficient_of_radiative_flux_in_sea_water",
+    "bb": "volume_backwards_scattering_coefficient_of_radiative_flux_in_sea_water",
+    "Ed": "downwelling_radiative_flux_per_unit_wavelength_in_sea_water",
+    "Eu": "upwelling_radiative_flux_per_unit_wavelength_in_sea_water",
+    "Lu": "upwelling_radiance_per_unit_wavelength_in_sea_water",
+    "Rrs": "surface_ratio_of_upwelling_radiance_emerging_from_sea_water_"
+    "to_downwelling_radiative_flux_in_air",
+    "chlorophyll": "mass_concentration_of_chlorophyll_a_in_sea_water",
+}
+LEVEL = 0.95
+
+
+def dataset(fit: Fit) -> "xarray.Dataset":
+    """Parameters, quantities and observations of a fit with CF attributes.
+
+    95 % intervals carry the suffixes _low and _high; a parameter that the data do not fix has
+    `identifiable` 0.
+    """
+    import xarray as xr
+
+    return xr.Dataset(*_content(fit))
+
+
+def _content(fit: Fit) -> tuple[dict, dict, dict]:
+    """(variables, coordinates, attributes) of `dataset`."""
+    names = list(fit.parameters.names)
+    low, high = np.array([fit.interval(name, LEVEL) for name in names]).T
+    data: dict = {
+        "value": ("parameter", np.array(list(fit.value.values())), {"long_name": "best value"}),
+        "low": ("parameter", low, {"long_name": "lower end of the 95 % interval"}),
+        "high": ("parameter", high, {"long_name": "upper end of the 95 % interval"}),
+        "identifiable": (
+            "parameter",
+            np.array(list(fit.identifiable.values()), dtype=np.int8),
+            {
+                "long_name": "whether the data fix the parameter",
+                "flag_values": np.array([0, 1], dtype=np.int8),
+                "flag_meanings": "prior_dominated fixed_by_data",
+            },
+        ),
+        "parameter_unit": ("parameter", np.array([p.unit for p in fit.parameters], dtype=str)),
+        "correlation": (
+            ("parameter", "other"),
+            fit.correlation,
+            {"long_name": "correlation of the coordinates", "units": "1"},
+        ),
+    }
+    for name, quantity in fit.quantities.items():
+        dims = () if quantity.value.ndim == 0 else ("wavelength",)
+        attributes = {"units": quantity.unit, "long_name": quantity.long_name}
+        stem = name.split("_")[0]
+        if stem in STANDARD_NAMES:
+            attributes["standard_name"] = STANDARD_NAMES[stem]
+        below, above = quantity.interval(LEVEL, fit.dof)
+        data[name] = (dims, quantity.value, attributes)
+        for suffix, value in (("low", below), ("high", above)):
+            text = f"{suffix} end of the 95 % interval of {name}"
+            data[f"{name}_{suffix}"] = (dims, value, {"units": quantity.unit, "long_name": text})
+    predictive = fit.posterior_predictive
+    label = "Ed" if "depth" in predictive.axes else "reading"
+    for suffix, value in (
+        ("observed", predictive.observed),
+        ("predicted", predictive.predicted),
+        ("sd", predictive.sd),
+    ):
+        attributes = {"units": predictive.unit, "long_name": f"{suffix} {label}"}
+        if label == "Ed" and suffix != "sd":
+            attributes["standard_name"] = STANDARD_NAMES["Ed"]
+        data[f"{label}_{suffix}"] = (predictive.axes, value, attributes)
+    coords: dict = {
+        "parameter": np.array(names, dtype=str),
+        "wavelength": (
+            "wavelength",
+            fit.wavelength,
+            {"units": "nm", "standard_name": "radiation_wavelength"},
+        ),
+    }
+    if "depth" in predictive.coords:
+        coords["depth"] = (
+            "depth",
+            predictive.coords["depth"],
+            {"units": "m", "standard_name": "depth", "positive": "down", "axis": "Z"},
+        )
+    if "channel" in predictive.axes:
+        coords["channel"] = np.array(["R", "G", "B"], dtype=str)
+    if "coefficient" in predictive.axes:
+        coords["coefficient"] = predictive.coords["coefficient"]
+    attributes = {
+        "Conventions": "CF-1.11",
+        "title": "Fit of underwater light by oceaninv",
+        "result": fit.result,
+        "metadata": fit.metadata_json(),
+    }
+    return data, coords, attributes
+
+
+def save(
+    path: str | Path,
+    fit: Fit,
+    constituents: Fit | None = None,
+    smooth: "SmoothKd | None" = None,
+    *,
+    overwrite: bool = False,
+) -> None:
+    """Write a fit as netCDF; constituents and a smooth Kd(z) go into groups of these names."""
+    with atomic_write(path, overwrite=overwrite) as temporary:
+        temporary.unlink()  # the writer starts from nothing or from a netCDF file, not an empty one
+        netcdf_writer.write(temporary, *_content(fit), mark=True)
+        if constituents is not None:
+            netcdf_writer.write(temporary, *_content(constituents), group="constituents")
+        if smooth is not None:
+            netcdf_writer.write(temporary, *smooth.content(), group="smooth")
+
+
+def picture(
+    fit: Fit, path: str | Path, constituents: Fit | None = None, *, overwrite: bool = False
+) -> None:
+    """Draw a fit (PNG): observations against the model, spectra with 95 % bands, unknowns."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    reflectance = "Rrs" in fit.quantities or "R" in fit.quantities
+    numbers = sum(not p.nuisance for p in (constituents or fit).parameters)
+    numbers += (
+        sum(q.value.ndim == 0 for q in constituents.quantities.values()) if constituents else 0
+    )
+    height = max(4.6, 0.38 * numbers if constituents is not None else 0.0)
+    figure = Figure(figsize=(16.0 if reflectance else 12.5, height))
+    FigureCanvasAgg(figure)
+    # Fixed margins: a computed layout would draw everything twice.
+    margins = {"left": 0.06, "right": 0.985, "bottom": 0.12, "top": 0.87, "wspace": 0.25}
+    widths = (1.15, 1, *([1] if reflectance else []), 1)
+    places = figure.subplots(1, len(widths), width_ratios=widths, gridspec_kw=margins)
+    data, spectra, unknowns = places[0], places[1], places[-1]
+    if reflectance:
+        _draw_reflectance(places[2], fit)
+    if "coefficient" in fit.posterior_predictive.axes:
+        draw_coefficients(data, spectra, fit)
+    else:
+        draw = _draw_profile if "depth" in fit.posterior_predictive.axes else _draw_readings
+        draw(data, fit)
+        _draw_spectra(spectra, fit, constituents)
+    _draw_unknowns(unknowns, constituents or fit, fit)
+    # A picture gets passed on: where on this machine the file lay is nobody's business.
+    sources = str(fit.metadata.get("source", "")).split("; ")
+    title = "; ".join(Path(one).name if Path(one).is_absolute() else one for one in sources)
+    figure.suptitle(title, fontsize=9, color="0.35")
+    save_figure(figure, path, dpi=130, overwrite=overwrite)
+
+
+def _draw_profile(axes, fit: Fit) -> None:
+    from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
+
+    predictive = fit.posterior_predictive
+    depth = predictive.coords["depth"]
+    used = np.isfinite(predictive.observed).any(axis=1)
+    for i, wavelength in enumerate(fit.wavelength):
+        colour = wavelength_colour(wavelength)
+        observed, predicted = predictive.observed[:, i], predictive.predicted[:, i]
+        kept = np.isfinite(observed)
+        axes.plot(observed[kept], depth[kept], ".", ms=4, color=colour, alpha=0.55)
+        label = f"{wavelength:g} nm" if len(fit.wavelength) <= 8 else None
+        axes.plot(predicted[kept], depth[kept], "-", lw=1.4, color=colour, label=label)
+        if len(fit.wavelength) <= 8:
+            reach = 1.96 * predictive.sd[:, i][kept]
+            # The axis is logarithmic: what the noise floor takes below zero ends at a hundredth.
+            low = np.maximum(predicted[kept] - reach, 0.01 * predicted[kept])
+            high = predicted[kept] + reach
+            axes.fill_betweenx(depth[kept], low, high, color=colour, alpha=0.12, lw=0)
+    axes.set(xscale="log", xlabel="Ed (W m⁻² nm⁻¹)", ylabel="depth (m)")
+    axes.set_ylim(depth[used].max() * 1.03, 0)
+    light = predictive.observed[predictive.observed > 0]
+    wide = light.max() > 300.0 * light.min()
+    axes.xaxis.set_major_locator(LogLocator(subs=(1.0,) if wide else (1.0, 2.0, 5.0)))
+    axes.xaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
+    axes.xaxis.set_minor_formatter(NullFormatter())
+    bands = ", 95 % of samples (bands)" if len(fit.wavelength) <= 8 else ""
+    axes.set_title(f"measured (dots), fitted (lines){bands}", fontsize=10)
+    if len(fit.wavelength) <= 8:
+        axes.legend(frameon=False, fontsize=9)
+
+
+def _draw_readings(axes, fit: Fit) -> None:
+    predictive = fit.posterior_predictive
+    for i, (name, colour) in enumerate(
+        zip("RGB", ("tab:red", "tab:green", "tab:blue"), strict=True)
+    ):
+        axes.errorbar(
+            predictive.predicted[:, i],
+            predictive.observed[:, i],
+            predictive.sd[:, i],
+            fmt="o",
+            ms=4,
+            lw=0.8,
+            color=colour,
+            label=name,
+        )
+    low = np.nanmin(predictive.observed) * 0.9
+    high = np.nanmax(predictive.observed) * 1.1
+    axes.plot([low, high], [low, high], "-", lw=0.8, color="0.5")
+    axes.set(xlabel="fitted linear camera value", ylabel="read from the photograph")
+    axes.set_title("readings", fontsize=10)
+    axes.legend(frameon=False, fontsize=9)
+
+
+def _draw_spectra(axes, fit: Fit, constituents: Fit | None) -> None:
+    named = [("Kd", "tab:blue"), ("Ku", "tab:green"), ("KLu", "tab:purple"), ("c", "tab:orange")]
+    shown = [("Kd, model", constituents, "Kd", "0.45")] if constituents is not None else []
+    shown += [(name, fit, name, colour) for name, colour in named if name in fit.quantities]
+    for label, source, name, colour in shown:
+        _draw_spectrum(axes, source.wavelength, source.quantities[name], label, colour, source.dof)
+    axes.set(xlabel="wavelength (nm)", ylabel="coefficient (m⁻¹)")
+    # Bands that are hardly known would hide the others.
+    known = [
+        np.nanmax(np.where(q.sd < 0.5, q.value * np.exp(2.0 * q.sd), np.nan))
+        for _, source, name, _ in shown
+        if np.any((q := source.quantities[name]).sd < 0.5)
+    ]
+    axes.set_ylim(0, 1.15 * max(known) if known else None)
+    axes.set_title("attenuation with 95 % intervals", fontsize=10)
+    axes.legend(frameon=False, fontsize=9)
+
+
+def _draw_spectrum(axes, wavelength, quantity: Quantity, label: str, colour: str, dof=None) -> None:
+    low, high = quantity.interval(LEVEL, dof)
+    if len(wavelength) > 8:
+        axes.fill_between(wavelength, low, high, color=colour, alpha=0.25, lw=0)
+        axes.plot(wavelength, quantity.value, color=colour, label=label)
+        return
+    error = np.stack([quantity.value - low, high - quantity.value])
+    form = {"fmt": "o", "ms": 5, "capsize": 3, "color": colour, "label": label}
+    axes.errorbar(wavelength, quantity.value, error, **form)
+
+
+def _draw_reflectance(axes, fit: Fit) -> None:
+    for name, label, colour in (("Rrs", "Rrs (sr⁻¹)", "tab:purple"), ("R", "R", "tab:green")):
+        if name in fit.quantities:
+            _draw_spectrum(axes, fit.wavelength, fit.quantities[name], label, colour)
+    axes.set(xlabel="wavelength (nm)", ylabel="reflectance")
+    axes.set_ylim(0, None)
+    axes.set_title("reflectance with 95 % intervals", fontsize=10)
+    axes.legend(frameon=False, fontsize=9)
+
+
+def _draw_unknowns(axes, fit: Fit, plain: Fit) -> None:
+    from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
+
+    # Many bands stand among the spectra already.
+    many = len(fit.wavelength) > 8 and any(q.value.ndim == 0 for q in fit.quantities.values())
+    rows = [
+        (
+            f"{p.name} ({p.unit})",
+            fit.value[p.name],
+            fit.interval(p.name, LEVEL),
+            fit.identifiable[p.name],
+        )
+        for p in fit.parameters
+        if not p.nuisance and not (many and p.name.startswith("Kd_"))
+    ]
+    rows += [
+        (f"{name} ({q.unit})", float(q.value), q.interval(LEVEL, one.dof), float(q.sd) <= 0.5)
+        for one in (fit, *([plain] if plain is not fit else []))
+        for name, q in one.quantities.items()
+        if q.value.ndim == 0 and name != "PAR_0"
+    ]
+    # Between many rows there is no room for a second line.
+    gap = ", " if len(rows) > 10 else "\n"
+    for y, (label, value, (low, high), known) in enumerate(reversed(rows)):
+        colour = "tab:blue" if known else "0.6"
+        axes.plot([low, high], [y, y], "-", lw=5, color=colour, alpha=0.5, solid_capstyle="butt")
+        if known:
+            axes.plot(value, y, "o", ms=5, color=colour)
+        text = label if known else f"{label}{gap}not identifiable"
+        axes.text(0.02, y + 0.16, text, fontsize=8, transform=axes.get_yaxis_transform())
+    axes.set(xscale="log", yticks=[], ylim=(-0.5, len(rows)), xlabel="value (95 % interval)")
+    ends = np.array([span for _, _, span, _ in rows])
+    if ends.size and np.nanmax(ends) < 30.0 * np.nanmin(ends):
+        axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    else:
+        axes.xaxis.set_major_locator(LogLocator(numticks=6))
+    # Plain numbers: setting powers of ten as mathematics takes longer than the whole drawing.
+    axes.xaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
+    axes.xaxis.set_minor_formatter(NullFormatter())
+    axes.set_title("water", fontsize=10)
+
+
+def wavelength_colour(wavelength: float) -> tuple[float, float, float]:
+    """A legible screen colour for a band (nm): violet to red, darkened for paper."""
+    import matplotlib
+
+    spectrum = matplotlib.colormaps["turbo"]
+    red, green, blue, _ = spectrum(float(np.clip((wavelength - 370.0) / 340.0, 0.02, 0.98)))
+    return 0.85 * red, 0.85 * green, 0.85 * blue

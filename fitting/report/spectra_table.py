@@ -1,0 +1,75 @@
+"""Spectra of a fit as csv or SeaBASS, for those who do not read netCDF."""
+
+from pathlib import Path
+
+import numpy as np
+
+from fitting.core.result import Fit
+from fitting.files.seabass import seabass_text
+from fitting.report.picture import LEVEL
+from oceaninv.foundation.atomic_write import atomic_write, checksum_line, with_checksum
+
+# As SeaBASS spells them.
+_UNITS = {
+    "m-1": "1/m",
+    "W m-2 nm-1": "W/m^2/nm",
+    "W m-2 nm-1 sr-1": "W/m^2/nm/sr",
+    "sr-1": "1/sr",
+    "1": "none",
+}
+
+
+def write_spectra(
+    path: str | Path, fit: Fit, constituents: Fit | None = None, *, overwrite: bool = False
+) -> None:
+    """Every spectral quantity of a fit with its 95 % interval, a row per wavelength.
+
+    The name's ending decides: .csv, with units in a comment line as `fitting.files.cast_file`
+    reads them, or
+    .sb for SeaBASS (what a header must hold and the fit does not know stands as NA).  Scalars,
+    constituents too, stand in comments.  ValueError for other endings.
+    """
+    path = Path(path)
+    if path.suffix not in (".csv", ".sb"):
+        raise ValueError(f"{path}: spectra are written as .csv or .sb (SeaBASS).")
+    fields, units, columns = ["wavelength"], ["nm"], [fit.wavelength]
+    for name, quantity in fit.quantities.items():
+        if quantity.value.ndim == 1:
+            low, high = quantity.interval(LEVEL, None)
+            for suffix, column in (("", quantity.value), ("_low", low), ("_high", high)):
+                fields.append(name + suffix)
+                units.append(_UNITS.get(quantity.unit, quantity.unit))
+                columns.append(column)
+    table = np.stack(columns, axis=1)
+    comments = [*_scalars(fit), *(_scalars(constituents) if constituents is not None else [])]
+    comments += [f"Kd: {fit.metadata['kd_definition']}", f"source: {fit.metadata['source']}"]
+    comments.insert(0, checksum_line())
+    if path.suffix == ".sb":
+        unknown = ("investigators", "affiliations", "contact", "experiment", "cruise")
+        header = dict.fromkeys(unknown, "NA") | {"data_type": "cast", "data_status": "final"}
+        text = seabass_text(fields, units, table, header, comments)
+    else:
+        pairs = ", ".join(f"{f}={u}" for f, u in zip(fields, units, strict=True))
+        lines = [f"# units: {pairs}", *(f"# {text}" for text in comments), ",".join(fields)]
+        for row in table:
+            lines.append(",".join(f"{v:.8g}" if np.isfinite(v) else "" for v in row))
+        text = "\n".join(lines) + "\n"
+    with atomic_write(path, overwrite=overwrite) as temporary:
+        temporary.write_text(with_checksum(text))
+
+
+def _scalars(fit: Fit) -> list[str]:
+    """One line each: quantities, and the unknowns that were asked for."""
+    lines = []
+    for name, quantity in fit.quantities.items():
+        if quantity.value.ndim == 0:
+            low, high = quantity.interval(LEVEL, None)
+            value = f"{float(quantity.value):.6g} ({low:.6g} to {high:.6g}) {quantity.unit}"
+            lines.append(f"{name}: {value}")
+    for p in fit.parameters:
+        if not p.nuisance and not p.name.startswith("Kd_"):
+            low, high = fit.interval(p.name, LEVEL)
+            value = f"{fit.value[p.name]:.6g} ({low:.6g} to {high:.6g}) {p.unit}"
+            mark = "" if fit.identifiable[p.name] else ", not identifiable"
+            lines.append(f"{p.name}: {value}{mark}")
+    return lines

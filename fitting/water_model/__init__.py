@@ -1,0 +1,1 @@
+"""The bio-optical model of a fit: its unknowns, alternatives and derived quantities."""

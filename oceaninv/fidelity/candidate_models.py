@@ -1,0 +1,151 @@
+"""The models that `oceaninv trade` runs on a scene, and what each is asked."""
+
+import dataclasses
+from collections.abc import Callable
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+import oceaninv as oi
+from oceaninv.fidelity import thinned
+from oceaninv.transport.base import AbstractTransport
+from oceaninv.transport.closed_form.kd import monzon2024
+from oceaninv.water.iops import IOPs
+
+# (scene, origin, direction, depths) to (ray or depth, wl).
+Answer = Callable[[oi.Scene, jax.Array, jax.Array, jax.Array], jax.Array]
+
+
+class Model(NamedTuple):
+    """One way to answer: `pick` are the scene's bands that it computes, all unless given."""
+
+    name: str
+    answer: Answer
+    precision: str = "float64"
+    pick: tuple[int, ...] | None = None
+
+
+def through(transport: AbstractTransport, quantity: str) -> Answer:
+    """The answer of a transport."""
+
+    def answer(scene, origin, direction, depths):
+        key = jax.random.key(0)
+        if quantity == "irradiance":
+            return oi.irradiance(scene, depths, transport, key=key).Ed.value
+        return oi.radiance(scene, oi.Rays(origin, direction), transport, key=key).value
+
+    return answer
+
+
+def references(scene: oi.Scene, quantity: str) -> tuple[Model, Model]:
+    """A converged model, and a poorer one whose difference from it says how converged."""
+    generations = 1 if scene.inelastic is None else 3
+    orders = 1 if quantity == "irradiance" else None
+    made = (oi.PlaneParallel(n, orders, generations) for n in (28, 22))
+    first, second = (Model(_name(t), through(t, quantity)) for t in made)
+    return first, second
+
+
+def ladder(scene: oi.Scene, quantity: str) -> list[Model]:
+    """Everything that may answer, from the printed closure to random walks."""
+    flux = quantity == "irradiance"
+    closed = [oi.KdTransport(), oi.TwoStream(), oi.FourStream()]
+    dials = ((4, 1), (8, 1), (16, 1)) if flux else ((4, 4), (8, 6), (16, 8), (16, 16))
+    exact = [oi.PlaneParallel(streams, orders) for streams, orders in dials]
+    if scene.inelastic is not None:
+        exact.insert(2, oi.PlaneParallel(8, 1 if flux else 6, generations=2))
+    models = [Model(_name(t), through(t, quantity)) for t in (*closed, *exact)]
+    if not flux:
+        models.insert(0, Model("printed closure", _printed))
+    single = (oi.TwoStream(), oi.FourStream(), exact[1])
+    models += [Model(f"{_name(t)}, float32", through(t, quantity), "float32") for t in single]
+    walks = ((2**12, 32), (2**16, 32)) if flux else ((2**6, 4), (2**6, 32), (2**10, 32))
+    models += [
+        Model(_name(t), through(t, quantity))
+        for t in (oi.MonteCarlo(paths, bounces) for paths, bounces in walks)
+    ]
+    if not flux and scene.inelastic is None:
+        models += _few_bands(scene, quantity)
+    if not isinstance(scene.water, IOPs):
+        models += _one_layer(scene, quantity)
+    if scene.inelastic is not None:
+        models += _elastic(quantity)
+    return models
+
+
+def _few_bands(scene: oi.Scene, quantity: str) -> list[Model]:
+    count = len(scene.wavelength)
+    models = []
+    for fewer, transport in ((3, oi.TwoStream()), (6, oi.TwoStream()), (6, oi.PlaneParallel(8, 6))):
+        if fewer < count:
+            pick = np.unique(np.linspace(0, count - 1, fewer).round().astype(int))
+            name = f"{_name(transport)}, {len(pick)} bands"
+            models.append(Model(name, _thin(through(transport, quantity), pick), pick=tuple(pick)))
+    return models
+
+
+def _thin(answer: Answer, pick: np.ndarray) -> Answer:
+    return lambda scene, *points: answer(thinned(scene, pick), *points)
+
+
+def _one_layer(scene: oi.Scene, quantity: str) -> list[Model]:
+    """The layer in which most of the scene happens, in place of all."""
+
+    def top(answer):
+        def first(scene, *points):
+            return answer(dataclasses.replace(scene, water=scene.water.iops[0]), *points)
+
+        return first
+
+    return [
+        Model(f"{_name(t)}, upper layer alone", top(through(t, quantity))) for t in _three(quantity)
+    ]
+
+
+def _elastic(quantity: str) -> list[Model]:
+    def bare(answer):
+        def without(scene, *points):
+            return answer(dataclasses.replace(scene, inelastic=None), *points)
+
+        return without
+
+    return [Model(f"{_name(t)}, elastic", bare(through(t, quantity))) for t in _three(quantity)]
+
+
+def _three(quantity: str) -> tuple[AbstractTransport, ...]:
+    """One of each kind."""
+    exact = oi.PlaneParallel(8, 1 if quantity == "irradiance" else 6)
+    return oi.TwoStream(), oi.FourStream(), exact
+
+
+def _name(transport: AbstractTransport) -> str:
+    if isinstance(transport, oi.PlaneParallel):
+        more = f", generations={transport.generations}" if transport.generations > 1 else ""
+        return f"PlaneParallel({transport.streams}, {transport.orders}{more})"
+    if isinstance(transport, oi.MonteCarlo):
+        return f"MonteCarlo({transport.paths}, {transport.bounces})"
+    return type(transport).__name__
+
+
+def _printed(scene: oi.Scene, origin, direction, depths):
+    """Radiance by the closure of Monzon et al. 2024 as printed, single scattering apart."""
+    del depths
+    water = scene.water
+    if not isinstance(water, IOPs):
+        raise ValueError("the printed closure knows one water only.")
+    mu0, beam = scene.beam()
+    kd = oi.attenuation.kd_lee2005(water.a, water.bb, scene.light.zenith)
+    surface = mu0 * beam
+    if scene.light.diffuse is not None:
+        surface = surface + jnp.pi * scene.light.diffuse
+    z, down = origin[:, 2], direction[:, 2]
+    steep = jnp.where(jnp.abs(down) < 1e-3, 1e-3, down)
+    bottom = jnp.asarray(1e3, z.dtype) if scene.floor is None else scene.floor.depth
+    rho = jnp.zeros_like(kd) if scene.floor is None else scene.floor.reflectance
+    length = jnp.where(steep > 0, (bottom - z) / steep, -z / steep)
+    seen = monzon2024(water.b, water.c, kd, surface, z, down, length, rho, bottom)
+    lit = (rho / jnp.pi * surface * jnp.exp(-kd * bottom))[None, :]
+    through_water = jnp.exp(-water.c[None, :] * length[:, None])
+    return seen + jnp.where((steep > 0)[:, None], lit * through_water, 0.0)

@@ -1,0 +1,1 @@
+"""What every other package stands on: numerics, published tables, spectra, the interface, files."""

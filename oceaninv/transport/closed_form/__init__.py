@@ -1,0 +1,1 @@
+"""Light of one homogeneous water in closed form."""

@@ -1,0 +1,1 @@
+"""Light of any scene by random walks."""

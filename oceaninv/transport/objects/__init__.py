@@ -1,0 +1,1 @@
+"""Objects, lamps and range maps in the light of a closed form."""

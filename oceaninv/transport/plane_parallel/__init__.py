@@ -1,0 +1,1 @@
+"""Exact light of horizontally uniform water, by discrete ordinates."""

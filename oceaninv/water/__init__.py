@@ -1,0 +1,14 @@
+"""What light meets in water: pure water, constituents, phase functions, inelastic scattering."""
+
+# fmt: off
+# isort: off
+from oceaninv.water.bio_optics import (
+    CDOM, BioOpticalModel, Constituents, Detritus, Minerals, Phytoplankton, gutierrez2008, jerlov)
+from oceaninv.water.inelastic import CDOMFluorescence, ChlorophyllFluorescence, Inelastic, Raman
+from oceaninv.water.iops import IOPs, Layers
+from oceaninv.water.pure_water import absorption, phase_constant, scattering
+
+__all__ = [
+    "CDOM", "BioOpticalModel", "CDOMFluorescence", "ChlorophyllFluorescence", "Constituents",
+    "Detritus", "IOPs", "Inelastic", "Layers", "Minerals", "Phytoplankton", "Raman", "absorption",
+    "gutierrez2008", "jerlov", "phase_constant", "scattering"]
