@@ -10,14 +10,17 @@ from fitting.core.parameters import Identity, Log, Logit, Parameter
 from fitting.core.result import Fit, Quantity
 from fitting.core.sampling import NUTS, sample
 from fitting.images.photograph_file import Photograph, read_photograph, read_range
-from fitting.observations.array_checks import Bulk, Profile
+from fitting.observations.bulk import (Bulk)
+from fitting.observations.profile import (Profile)
 from fitting.observations.photo import Background, Chart, Photo, Pixels
 from fitting.photo.assumptions import assumptions
-from fitting.photo.fit_photo import design, fit_photo, fit_photos
+from fitting.photo.fit_photo import (fit_photo, fit_photos)
+from fitting.photo.design import (design)
 from fitting.profile.constituents.from_kd_and_r import fit_apparent
 from fitting.profile.fit_profile import fit_profile
 from fitting.profile.fit_profiles import ProfileFits, fit_profiles, stream_profiles
 from fitting.profile.kd.smooth_kd import SmoothKd, smooth_kd
+import fitting.report.picture  # noqa: F401  # it draws `Fit.report`
 
 __all__ = [
     "NUTS", "AbstractContents", "Background", "Bulk", "Chart", "Fit", "Identity", "Log",

@@ -7,13 +7,15 @@ import numpy as np
 import pytest
 
 import oceaninv as oi
-from fitting import Background, Chart, Photo, fit_photo
-from fitting.core.parameters import Parameters, water_iops
+from fitting import Background, Chart, Photo, assumptions, fit_photo
+from fitting.core.parameters import Parameters
 from fitting.core.result import Fit, Predictive
-from fitting.photo import assumptions
-from fitting.photo.fit_photo import WAVELENGTH, predict, prepare
+from fitting.observations.photo import WAVELENGTH
+from fitting.photo.forward_model import predict
+from fitting.photo.problem import prepare
 from fitting.water_model.alternatives import ALTERNATIVES, PREFIX
 from fitting.water_model.quantities import water_quantities
+from fitting.water_model.unknowns import water_iops
 
 TRUTH = {"chlorophyll": 1.5, "cdom": 0.15, "detritus": 0.08}
 SCALARS = ("Kd_490", "c_550", "a_cdm_440", "bb_550")

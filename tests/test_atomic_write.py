@@ -10,7 +10,7 @@ import xarray as xr
 
 from fitting import Profile, fit_profile
 from fitting.commands import main as cli
-from fitting.report.picture import picture as report
+from fitting.report import netcdf_file
 from fitting.report.spectra_table import write_spectra
 from oceaninv.foundation.atomic_write import atomic_write, checksum_line, is_own, with_checksum
 from tests.test_photographs import IMAGE, write
@@ -134,7 +134,7 @@ def test_python_does_not_replace_files_of_others_either(tmp_path):
     fit = fit_profile(Profile(depth, [490.0], np.exp(-0.1 * depth)[:, None]))
     for name, save in (
         ("fit.png", lambda path, **more: fit.report(path, **more)),
-        ("fit.nc", lambda path, **more: report.save(path, fit, **more)),
+        ("fit.nc", lambda path, **more: netcdf_file.save(path, fit, **more)),
         ("fit.sb", lambda path, **more: write_spectra(path, fit, **more)),
         ("fit.csv", lambda path, **more: write_spectra(path, fit, **more)),
     ):

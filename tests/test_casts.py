@@ -10,7 +10,7 @@ from fitting import fit_profile
 from fitting.files.cast_file import Reading, read_cast, read_casts
 from fitting.files.irradiance_units import irradiance_factor, irradiance_units_in
 from fitting.files.seabass import read_seabass, seabass_text
-from fitting.observations.array_checks import Profile
+from fitting.observations.profile import Profile
 
 CASTS = Path(__file__).parents[1].parent / "shared/data/casts"
 DEPTH = np.linspace(0.5, 30.0, 60)

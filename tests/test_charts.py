@@ -13,7 +13,7 @@ from fitting import Photograph, read_photograph
 from fitting.images.chart_reading import _apply, _perspective, overlay, read_chart
 from fitting.images.chart_targets import target
 from fitting.images.photo_csv import read_photo
-from fitting.photo.fit_photo import WAVELENGTH
+from fitting.observations.photo import WAVELENGTH
 from tests.test_photographs import write
 
 CORNERS = np.array([[31.0, 22.0], [151.0, 35.0], [143.0, 118.0], [22.0, 97.0]])

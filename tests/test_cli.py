@@ -9,7 +9,7 @@ import xarray as xr
 
 from fitting import Profile, fit_profile
 from fitting.commands import main as cli
-from fitting.report.picture import picture as report
+from fitting.report import netcdf_file
 
 SCENES = Path(__file__).parents[1] / "scenes"
 CAST = str(SCENES / "argo_6903247.csv")
@@ -165,7 +165,7 @@ def test_a_dataset_survives_a_round_trip(tmp_path):
     fit = fit_profile(
         Profile(depth, [490.0], np.exp(-0.1 * depth)[:, None]), depth_range=(0.0, 30.0)
     )
-    report.save(tmp_path / "fit.nc", fit)
+    netcdf_file.save(tmp_path / "fit.nc", fit)
     with xr.open_dataset(tmp_path / "fit.nc") as data:
         np.testing.assert_allclose(data.Kd, [0.1], rtol=1e-6)
         assert data.parameter.values.tolist() == ["Ed0_490", "Kd_490"]

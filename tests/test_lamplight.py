@@ -11,7 +11,8 @@ from fitting import Background, Chart, Photo, fit_photo, read_photograph
 from fitting.images.chart_reading import table_of
 from fitting.images.photo_csv import read_photo
 from fitting.photo._lamp import lamplit
-from fitting.photo.fit_photo import predict, prepare
+from fitting.photo.forward_model import predict
+from fitting.photo.problem import prepare
 from tests.test_photo import CAMERA, GREY, TRUTH, water
 from tests.test_photographs import IMAGE, write
 from tests.test_readers import PHOTO

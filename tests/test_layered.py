@@ -9,9 +9,9 @@ import xarray as xr
 import oceaninv as oi
 from fitting import NUTS, Fit, Parameter, Profile, fit_profile, sample
 from fitting.commands import main as cli
-from fitting.core.parameters import Log, Parameters, water_iops, water_unknowns
+from fitting.core.parameters import Log, Parameters
 from fitting.profile.constituents.problem import model_ed
-from fitting.profile.kd.layer_selection import worth
+from fitting.profile.kd.noise_statistics import correlation_inflation
 from fitting.water_model.layered_water import (
     interfaces_of,
     layer_unknowns,
@@ -19,6 +19,7 @@ from fitting.water_model.layered_water import (
     roundings,
     water_of,
 )
+from fitting.water_model.unknowns import water_iops, water_unknowns
 
 BANDS = np.array([412.0, 443.0, 490.0, 555.0, 620.0, 665.0])
 DEPTH = np.linspace(0.2, 15.0, 60)
@@ -110,7 +111,7 @@ def test_interfaces_are_rounded_by_the_steps_about_them():
 def test_correlated_samples_are_worth_fewer(rho):
     depth = np.arange(2000.0)
     length = np.array([-1.0 / np.log(rho) if rho else 0.0])
-    factor = worth(depth, np.ones((2000, 1), bool), length)[:, 0]
+    factor = correlation_inflation(depth, np.ones((2000, 1), bool), length)[:, 0]
     apart = np.abs(depth[:, None] - depth[None, :])
     noise = rho**apart if rho else np.eye(2000)
     told = np.ones(2000) @ np.linalg.solve(noise, np.ones(2000))
@@ -120,7 +121,7 @@ def test_correlated_samples_are_worth_fewer(rho):
 def test_what_lies_between_used_samples_counts():
     depth, mask = np.arange(10.0), np.ones((10, 1), bool)
     mask[1::2] = False
-    factor = worth(depth, mask, np.array([1.0]))
+    factor = correlation_inflation(depth, mask, np.array([1.0]))
     rho = np.exp(-2.0)
     assert factor[4, 0] == pytest.approx(np.sqrt((1 + rho) / (1 - rho)))
     assert factor[0, 0] == 1.0

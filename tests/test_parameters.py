@@ -7,7 +7,8 @@ import pytest
 
 import oceaninv as oi
 from fitting import Identity, Log, Logit, Parameter
-from fitting.core.parameters import Parameters, constituents, shape_nuisances, water_iops
+from fitting.core.parameters import Parameters
+from fitting.water_model.unknowns import constituents, shape_nuisances, water_iops
 
 WAVELENGTH = oi.spectrum.bands(8)
 NAMES = ("chlorophyll", "cdom", "detritus")

@@ -10,9 +10,11 @@ import pytest
 import oceaninv as oi
 from fitting import Background, Chart, Parameter, Photo, Pixels, design, fit_photo, fit_photos
 from fitting.core.least_squares import covariance, cross_check
-from fitting.core.parameters import water_iops
-from fitting.photo.fit_photo import WAVELENGTH, photo_residual, predict, prepare
+from fitting.observations.photo import WAVELENGTH
+from fitting.photo.forward_model import predict
+from fitting.photo.problem import photo_residual, prepare
 from fitting.water_model.quantities import water_quantities
+from fitting.water_model.unknowns import water_iops
 
 GREY = np.array([0.9, 0.5, 0.2, 0.08])
 TRUTH = {"chlorophyll": 1.5, "cdom": 0.15, "detritus": 0.08}

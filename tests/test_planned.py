@@ -10,11 +10,13 @@ import pytest
 
 import oceaninv as oi
 from fitting import fit_photo, fit_profile
-from fitting.core.multifidelity import Demand, fit_within, scene_at
-from fitting.core.parameters import Parameter, Parameters, constituents
+from fitting.core.multifidelity import Demand, fit_within
+from fitting.core.parameters import Parameter, Parameters
 from fitting.core.result import Fit, Predictive
 from fitting.photo.exact_correction import exact_ratios, tangent, uncorrected
 from fitting.photo.problem import PhotoProblem, predict_all, prepare, search
+from fitting.water_model.scene_of_fit import scene_at
+from fitting.water_model.unknowns import constituents
 from oceaninv.fidelity import planning, sufficient
 from tests.test_photo import clean, fitted, photo
 from tests.test_profile import constituent_cast

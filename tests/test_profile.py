@@ -14,7 +14,7 @@ from fitting.core.least_squares import cross_check
 from fitting.core.result import quantile
 from fitting.images.photo_csv import read_profile
 from fitting.profile.kd.band_fit import band_residual, thickness
-from fitting.profile.kd.batching import light_level_mask
+from fitting.profile.kd.cast import light_level_mask
 from tests.acceptance.profile_statistics import bound, casts, statistics
 
 CASTS = Path(__file__).parents[1].parent / "shared/data/casts"

@@ -3,7 +3,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fitting.images.photo_csv import read_photo, read_profile, read_sheet
+from fitting.files.csv_sheet import read_sheet
+from fitting.images.photo_csv import read_photo, read_profile
 
 SCENES = Path(__file__).parents[1] / "scenes"
 HEADER = "# units: depth=m, Ed_*=W m-2 nm-1\n"

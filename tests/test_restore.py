@@ -10,7 +10,7 @@ import pytest
 
 import oceaninv as oi
 from fitting import Background, Photo, Photograph, Quantity, fit_photo
-from fitting.photo.fit_photo import WAVELENGTH
+from fitting.observations.photo import WAVELENGTH
 from fitting.photo.restore import restore
 from fitting.report.web_page import write_html
 from fitting.water_model.quantities import nearest_jerlov

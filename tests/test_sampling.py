@@ -13,9 +13,9 @@ from fitting import NUTS, Fit, Parameter, joint_region, sample
 from fitting.core.least_squares import covariance, least_squares
 from fitting.core.likelihood_regions import LikelihoodRegion
 from fitting.core.parameters import Parameters
+from fitting.core.problem import AbstractProblem
 from fitting.core.profile_likelihood import widened
 from fitting.core.result import Predictive, Quantity
-from fitting.core.sampling import AbstractProblem
 from tests.acceptance._photo_posterior import region_of
 
 AXES = np.array([[1.0, 0.0], [0.9, 0.3]])

@@ -69,7 +69,7 @@ def test_the_command_writes_a_smooth_kd(tmp_path, monkeypatch, capsys):
     (tmp_path / "cast.csv").write_text("\n".join([*head, *rows]) + "\n")
     assert cli.run(["fit-profile", "cast.csv", "--kd-only", "--smooth"]) == 0
     assert "times as likely as 1 layer(s)" in capsys.readouterr().out
-    with xr.open_dataset(tmp_path / "cast.nc", group="smooth") as data:
+    with xr.open_dataset(tmp_path / "cast_fit.nc", group="smooth") as data:
         assert data.Kd.dims == ("depth", "wavelength")
         assert bool(np.all((data.Kd_low < 0.1) & (data.Kd_high > 0.1)))
         assert data.attrs["evidence_against_layers"] < 0

@@ -5,8 +5,8 @@ import pytest
 
 from fitting import Profile, fit_profile
 from fitting.commands import main as cli
+from fitting.files.csv_sheet import read_sheet
 from fitting.files.seabass import read_seabass
-from fitting.images.photo_csv import read_sheet
 from fitting.profile.merge_casts import merged
 from fitting.report.spectra_table import write_spectra
 

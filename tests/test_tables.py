@@ -10,8 +10,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from oceaninv import water
 from oceaninv.foundation import spectrum, tables
+from oceaninv.water import pure_water as water
 
 ROOT = Path(__file__).parents[1]
 SHARED = ROOT.parent / "shared" / "data"

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from fitting import Photograph
-from fitting.images.photo_csv import read_sheet
+from fitting.files.csv_sheet import read_sheet
 from fitting.images.quality_checks import linearity, of_picture, of_range
 
 CHARTS = Path(__file__).parents[1] / "scenes" / "red_sea_charts.csv"

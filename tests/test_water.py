@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from oceaninv import water
 from oceaninv.foundation import tables
+from oceaninv.water import pure_water as water
 
 CHECK = Path(__file__).parents[1].parent / "shared" / "data" / "bw_seawater_check_values.csv"
 WAVELENGTH = np.arange(400.0, 701.0, 25.0)

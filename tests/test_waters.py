@@ -10,17 +10,13 @@ from scipy.stats import binom
 
 import oceaninv as oi
 from fitting import Profile, fit_apparent, fit_profile, fit_profiles, stream_profiles
-from fitting.core.parameters import (
-    Parameter,
-    Parameters,
-    absorption_shapes,
-    water_iops,
-    water_unknowns,
-)
+from fitting.core.parameters import Parameter, Parameters
 from fitting.profile.constituents.batched_search import Water, _rows, curve, nodes_and_basis
 from fitting.profile.constituents.from_kd_and_r import _WORTH, _spectra, _weighed
+from fitting.profile.constituents.reduced_data import spectra_of
 from fitting.profile.kd.batching import fit_lanes
-from fitting.profile.kd.reflectances import cast_of, spectra_of
+from fitting.profile.kd.cast import cast_of
+from fitting.water_model.unknowns import absorption_shapes, water_iops, water_unknowns
 
 BANDS = np.array([412.0, 490.0, 555.0, 665.0])
 TRUTH = {"chlorophyll": 1.2, "cdom": 0.12, "detritus": 0.05}

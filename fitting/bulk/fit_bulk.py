@@ -12,7 +12,7 @@ from fitting.bulk.media import AbstractContents, Populations
 from fitting.core.least_squares import covariance, least_squares, sentence
 from fitting.core.parameters import Parameter, Parameters, Prior
 from fitting.core.result import Fit, Predictive, derived_quantity
-from fitting.observations.array_checks import Bulk
+from fitting.observations.bulk import Bulk
 from oceaninv.mie.particles import Population
 
 _NAMES = {

@@ -36,7 +36,7 @@ def check_command(
 def _charts(path: Path) -> list[tuple[bool, str]]:
     import numpy as np
 
-    from fitting.images.photo_csv import read_sheet
+    from fitting.files.csv_sheet import read_sheet
     from fitting.images.quality_checks import FLASH, linearity, of_range
 
     sheet = read_sheet(path)

@@ -75,7 +75,8 @@ def fit_photo_command(
     from fitting.images.photo_csv import read_photo
     from fitting.images.photograph_file import pixels_of
     from fitting.photo.restore import restored_paths
-    from fitting.report.picture import picture, save
+    from fitting.report.netcdf_file import save
+    from fitting.report.picture import picture
 
     depths = [_depth(text) for text in depth]
     if len(depths) not in (1, len(paths)):

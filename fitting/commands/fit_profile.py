@@ -160,7 +160,8 @@ def _fit_one(profile, files, depth_range, layers, model, priors, smooth, sample,
     """`files`: the netCDF file, the picture and, if wanted, the table to write."""
     from fitting import fit_profile
     from fitting import sample as draw
-    from fitting.report.picture import picture, save
+    from fitting.report.netcdf_file import save
+    from fitting.report.picture import picture
 
     if depth_range is not None and depth_range[1] > profile.depth.max():
         depth_range = (depth_range[0], float(profile.depth.max()))
@@ -255,7 +256,8 @@ def _transport(name: str | None):
 
 def _known(texts: list[str]) -> dict:
     """Priors from "cdom=0.12+-0.01"."""
-    from fitting.core.parameters import Parameter, constituents
+    from fitting.core.parameters import Parameter
+    from fitting.water_model.unknowns import constituents
 
     known = {p.name: p for p in constituents()}
     priors = {}

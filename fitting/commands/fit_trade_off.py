@@ -11,7 +11,7 @@ import numpy as np
 
 import oceaninv as oi
 from fitting.core.result import Fit
-from fitting.observations.array_checks import Profile
+from fitting.observations.profile import Profile
 from fitting.profile.fit_profile import fit_profile
 from oceaninv.fidelity.planning import rung
 from oceaninv.foundation.atomic_write import atomic_write, checksum_line, save_figure, with_checksum

@@ -53,7 +53,7 @@ def print_water(fit: "Fit") -> None:
     from rich.console import Console
     from rich.table import Table
 
-    from fitting.core.parameters import phytoplankton_range
+    from fitting.water_model.unknowns import phytoplankton_range
 
     table = Table(title=f"Water by {fit.metadata['transport']}", title_justify="left")
     for name in ("quantity", "unit", "value", "95 % interval"):

@@ -10,9 +10,9 @@ from jaxtyping import Array, Float
 
 from fitting.core.least_squares import covariance, least_squares, value_and_jacobian
 from fitting.core.parameters import Log, Parameters
+from fitting.core.problem import AbstractProblem
 from fitting.core.program_cache import kept
 from fitting.core.result import Fit
-from fitting.core.sampling import AbstractProblem
 
 # How hard numbers are held, in units of one over their standard deviations: one search after the
 # other.  The last lets the sum of squares be short of the exact one by a part in ten thousand.

@@ -5,14 +5,11 @@ from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 import oceaninv as oi
-from fitting.core.parameters import Parameters, water_iops
 from fitting.core.result import Fit
-from oceaninv.fidelity import expected_error, sufficient
-from oceaninv.fidelity.planning import rung
+from oceaninv.fidelity.planning import expected_error, rung, sufficient
 from oceaninv.transport.base import AbstractTransport
 
 
@@ -133,11 +130,3 @@ def _dearness(found: tuple[AbstractTransport, float]) -> int:
     if isinstance(transport, oi.PlaneParallel):
         return transport.streams * transport.orders
     return int(isinstance(transport, oi.FourStream))
-
-
-def scene_at(parameters: Parameters, x: np.ndarray, wavelength: np.ndarray, sun=None) -> oi.Scene:
-    """Water and light of a fit; `sun`: (wl,) its spectrum, even unless given."""
-    values = parameters.values(jnp.asarray(x))
-    sun = jnp.ones(len(wavelength)) if sun is None else jnp.asarray(sun)
-    zenith = float(np.minimum(values["solar_zenith"], 89.0))
-    return oi.Scene(water_iops(values, wavelength), oi.Light(zenith, sun), oi.FlatSurface())

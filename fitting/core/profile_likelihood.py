@@ -18,9 +18,9 @@ from jaxtyping import Array, Float, Int
 
 from fitting.core.least_squares import covariance, value_and_jacobian
 from fitting.core.parameters import Log, Parameters
+from fitting.core.problem import AbstractProblem
 from fitting.core.program_cache import kept
 from fitting.core.result import quantile
-from fitting.core.sampling import AbstractProblem
 
 # A constituent known to less than a factor of e either way: it may as well be absent.
 _UNSEEN = 1.0

@@ -2,9 +2,9 @@
 
 import dataclasses
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 from jaxtyping import Float
@@ -117,6 +117,9 @@ class Fit:
       `half_width`).  None for neither.
     """
 
+    # What `report` draws with: `fitting.report.picture`, of a package above this one, sets it.
+    draw: ClassVar[Callable[..., None] | None] = None
+
     parameters: Parameters
     x: Vector
     covariance: np.ndarray
@@ -195,16 +198,15 @@ class Fit:
         return max([*scalars, *asked], default=0.0) > _UNKNOWN_SD
 
     def to_xarray(self) -> "xarray.Dataset":
-        """Everything as a CF-style dataset; see `fitting.report.picture.dataset`."""
-        from fitting.report.picture import dataset
+        """Everything as a CF-style dataset; see `dataset`."""
 
         return dataset(self)
 
     def report(self, path: str | Path, *, overwrite: bool = False) -> None:
         """Write a picture of the fit (PNG) to `path`; see `fitting.report.picture`."""
-        from fitting.report.picture import picture
-
-        picture(self, path, overwrite=overwrite)
+        if Fit.draw is None:
+            raise RuntimeError("import fitting.report.picture, which draws fits.")
+        Fit.draw(self, path, overwrite=overwrite)
 
     def metadata_json(self) -> str:
         """Metadata as one line of JSON."""
@@ -224,3 +226,103 @@ def derived_quantity(
     relative = jacobian / values[..., None]
     variance = np.einsum("...i,ij,...j->...", relative, covariance, relative)
     return Quantity(values, np.asarray(np.sqrt(variance)), unit, long_name)
+
+
+STANDARD_NAMES = {
+    "Kd": "volume_attenuation_coefficient_of_downwelling_radiative_flux_in_sea_water",
+    "c": "volume_beam_attenuation_coefficient_of_radiative_flux_in_sea_water",
+    "bb": "volume_backwards_scattering_coefficient_of_radiative_flux_in_sea_water",
+    "Ed": "downwelling_radiative_flux_per_unit_wavelength_in_sea_water",
+    "Eu": "upwelling_radiative_flux_per_unit_wavelength_in_sea_water",
+    "Lu": "upwelling_radiance_per_unit_wavelength_in_sea_water",
+    "Rrs": "surface_ratio_of_upwelling_radiance_emerging_from_sea_water_"
+    "to_downwelling_radiative_flux_in_air",
+    "chlorophyll": "mass_concentration_of_chlorophyll_a_in_sea_water",
+}
+
+
+LEVEL = 0.95
+
+
+def dataset(fit: Fit) -> "xarray.Dataset":
+    """Parameters, quantities and observations of a fit with CF attributes.
+
+    95 % intervals carry the suffixes _low and _high; a parameter that the data do not fix has
+    `identifiable` 0.
+    """
+    import xarray as xr
+
+    return xr.Dataset(*_content(fit))
+
+
+def _content(fit: Fit) -> tuple[dict, dict, dict]:
+    """(variables, coordinates, attributes) of `dataset`."""
+    names = list(fit.parameters.names)
+    low, high = np.array([fit.interval(name, LEVEL) for name in names]).T
+    data: dict = {
+        "value": ("parameter", np.array(list(fit.value.values())), {"long_name": "best value"}),
+        "low": ("parameter", low, {"long_name": "lower end of the 95 % interval"}),
+        "high": ("parameter", high, {"long_name": "upper end of the 95 % interval"}),
+        "identifiable": (
+            "parameter",
+            np.array(list(fit.identifiable.values()), dtype=np.int8),
+            {
+                "long_name": "whether the data fix the parameter",
+                "flag_values": np.array([0, 1], dtype=np.int8),
+                "flag_meanings": "prior_dominated fixed_by_data",
+            },
+        ),
+        "parameter_unit": ("parameter", np.array([p.unit for p in fit.parameters], dtype=str)),
+        "correlation": (
+            ("parameter", "other"),
+            fit.correlation,
+            {"long_name": "correlation of the coordinates", "units": "1"},
+        ),
+    }
+    for name, quantity in fit.quantities.items():
+        dims = () if quantity.value.ndim == 0 else ("wavelength",)
+        attributes = {"units": quantity.unit, "long_name": quantity.long_name}
+        stem = name.split("_")[0]
+        if stem in STANDARD_NAMES:
+            attributes["standard_name"] = STANDARD_NAMES[stem]
+        below, above = quantity.interval(LEVEL, fit.dof)
+        data[name] = (dims, quantity.value, attributes)
+        for suffix, value in (("low", below), ("high", above)):
+            text = f"{suffix} end of the 95 % interval of {name}"
+            data[f"{name}_{suffix}"] = (dims, value, {"units": quantity.unit, "long_name": text})
+    predictive = fit.posterior_predictive
+    label = "Ed" if "depth" in predictive.axes else "reading"
+    for suffix, value in (
+        ("observed", predictive.observed),
+        ("predicted", predictive.predicted),
+        ("sd", predictive.sd),
+    ):
+        attributes = {"units": predictive.unit, "long_name": f"{suffix} {label}"}
+        if label == "Ed" and suffix != "sd":
+            attributes["standard_name"] = STANDARD_NAMES["Ed"]
+        data[f"{label}_{suffix}"] = (predictive.axes, value, attributes)
+    coords: dict = {
+        "parameter": np.array(names, dtype=str),
+        "wavelength": (
+            "wavelength",
+            fit.wavelength,
+            {"units": "nm", "standard_name": "radiation_wavelength"},
+        ),
+    }
+    if "depth" in predictive.coords:
+        coords["depth"] = (
+            "depth",
+            predictive.coords["depth"],
+            {"units": "m", "standard_name": "depth", "positive": "down", "axis": "Z"},
+        )
+    if "channel" in predictive.axes:
+        coords["channel"] = np.array(["R", "G", "B"], dtype=str)
+    if "coefficient" in predictive.axes:
+        coords["coefficient"] = predictive.coords["coefficient"]
+    attributes = {
+        "Conventions": "CF-1.11",
+        "title": "Fit of underwater light by oceaninv",
+        "result": fit.result,
+        "metadata": fit.metadata_json(),
+    }
+    return data, coords, attributes

@@ -1,6 +1,5 @@
 """Posterior draws where the ellipsoid at the optimum would mislead."""
 
-import abc
 import dataclasses
 from collections.abc import Callable
 
@@ -8,9 +7,9 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Key
+from jaxtyping import Array, Key
 
-from fitting.core.parameters import Parameters
+from fitting.core.problem import AbstractProblem
 from fitting.core.program_cache import kept
 from fitting.core.result import Fit, Quantity
 
@@ -18,20 +17,6 @@ from fitting.core.result import Fit, Quantity
 _TARGET = 0.8
 # Chains that disagree by more than this (split R-hat) have not found the whole posterior.
 _AGREE = 1.05
-
-
-class AbstractProblem(eqx.Module):
-    """A posterior: what a fit minimises and what it derives, as functions of the coordinates."""
-
-    layout: eqx.AbstractVar[Parameters]
-
-    @abc.abstractmethod
-    def residual(self, x: Float[Array, " unknown"]) -> Float[Array, " residual"]:
-        """Residuals of data and priors: the log density is -|residual|^2 / 2 plus a constant."""
-
-    @abc.abstractmethod
-    def quantities(self, x: Float[Array, " unknown"]) -> dict[str, Array]:
-        """Derived quantities by name."""
 
 
 class NUTS(eqx.Module):

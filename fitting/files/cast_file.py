@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 
 from fitting.files import cast_netcdf, seabass
+from fitting.files.csv_sheet import Sheet, header_number, read_sheet
 from fitting.files.irradiance_units import depth_kind, irradiance_factor, irradiance_units_in
 from fitting.files.raw_cast import RawCast
-from fitting.images.photo_csv import Sheet, header_number, read_sheet
-from fitting.observations.array_checks import Profile
+from fitting.observations.profile import Profile
 
 _IRRADIANCE = re.compile(
     r"(?i)(?P<kind>ed0|es|edz|ed|euz|eu|luz|lu|down_irradiance)[_ ]?\(?"

@@ -12,7 +12,7 @@ import oceaninv as oi
 from fitting.images.chart_targets import Target, target
 from fitting.images.photograph_file import Photograph
 from fitting.images.quality_checks import linearity
-from fitting.photo.forward_model import WAVELENGTH
+from fitting.observations.photo import WAVELENGTH
 from oceaninv.foundation.atomic_write import checksum_line, save_figure, with_checksum
 
 if TYPE_CHECKING:

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 import oceaninv as oi
-from fitting.photo.forward_model import WAVELENGTH
+from fitting.observations.photo import WAVELENGTH
 from oceaninv.foundation.tables import load, unknown
 
 NAMES = ("ColorChecker24", "DGK18")
@@ -76,7 +76,7 @@ def _grid(name, reflectance, heights, columns, neutral, doubtful=()) -> Target:
 
 
 def _own(path: Path) -> Target:
-    from fitting.images.photo_csv import header_number, read_sheet
+    from fitting.files.csv_sheet import header_number, read_sheet
 
     if not path.is_file():
         raise ValueError(f"{path} does not exist or is no file.")

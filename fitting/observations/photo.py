@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 
+import oceaninv as oi
 from fitting.observations.array_checks import as_array
 from oceaninv.foundation.spectrum import Response
 
@@ -253,3 +254,6 @@ class Photo:
             ("lamp", bool(lamp)),
         ):
             object.__setattr__(self, key, value)
+
+
+WAVELENGTH = oi.spectrum.bands(16)

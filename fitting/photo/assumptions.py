@@ -9,9 +9,9 @@ import numpy as np
 
 from fitting.core.least_squares import least_squares
 from fitting.core.parameters import Identity, Parameter, Parameters, Prior
+from fitting.core.problem import AbstractProblem
 from fitting.core.program_cache import kept
 from fitting.core.result import Fit
-from fitting.core.sampling import AbstractProblem
 from fitting.water_model.alternatives import ALTERNATIVES, PREFIX
 
 
@@ -63,7 +63,7 @@ def assumptions(fit: Fit) -> dict[str, dict[str, float]]:
 
     **Raises** ValueError for a fit that is not of photographs.
     """
-    from fitting.photo.fit_photo import PhotoProblem
+    from fitting.photo.problem import PhotoProblem
 
     if not isinstance(fit.problem, PhotoProblem):
         raise ValueError("assumptions are those of a fit of photographs; this fit is of none.")

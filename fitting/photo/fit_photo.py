@@ -11,37 +11,23 @@ from jaxtyping import Array, Float
 
 import oceaninv as oi
 from fitting.core.least_squares import (
-    Bend,
     Optimum,
     covariance,
     curvature,
-    sentence,
     value_and_jacobian,
 )
-from fitting.core.multifidelity import EXACT, Demand, fit_within, scene_at
-from fitting.core.parameters import Log, Parameter
-from fitting.core.profile_likelihood import widened
+from fitting.core.multifidelity import EXACT, Demand, fit_within
+from fitting.core.parameters import Parameter
 from fitting.core.program_cache import kept
-from fitting.core.result import Fit, Predictive, amount_bias
-from fitting.observations.photo import Photo
+from fitting.core.result import Fit
+from fitting.observations.photo import WAVELENGTH, Photo
 from fitting.photo.exact_correction import approached, uncorrected
-from fitting.photo.forward_model import WAVELENGTH, predict
-from fitting.photo.problem import PhotoProblem, photo_residual, predict_all, prepare, search
-from fitting.water_model.quantities import UNITS, nearest_jerlov, quantities_of
+from fitting.photo.problem import PhotoProblem, prepare, search
+from fitting.photo.result import _result
+from fitting.water_model.quantities import UNITS
+from fitting.water_model.scene_of_fit import scene_at
 from oceaninv.fidelity.planning import rung
 from oceaninv.transport.base import AbstractTransport
-
-__all__ = [
-    "WAVELENGTH",
-    "PhotoProblem",
-    "design",
-    "fit_photo",
-    "fit_photos",
-    "photo_residual",
-    "predict",
-    "prepare",
-    "search",
-]
 
 # Ancillary values: (value, standard deviation) by the name of a parameter or scalar quantity.
 Known = Mapping[str, tuple[float, float]]
@@ -120,19 +106,6 @@ def _solve_batch(problems: PhotoProblem):
     # One after the other in one program: side by side, every search would take as many steps as
     # the longest and both sides of every branch, which is slower than a loop of fits (measured).
     return jax.lax.map(lambda p: _derived(p, search(p, p.prior.centre)), problems)
-
-
-@kept
-def _at(problem: PhotoProblem, x):
-    residual, jacobian = value_and_jacobian(problem.residual, x)
-    quantities, slopes = value_and_jacobian(problem.quantities, x)
-    return (
-        Optimum(x, residual, jacobian, jnp.zeros((), jnp.int32)),
-        covariance(jacobian),
-        quantities,
-        slopes,
-        None,
-    )
 
 
 def _lanes(stacked: PhotoProblem) -> list:
@@ -319,131 +292,3 @@ def fit_photos(
             photos, made, lanes, stated, factors, strict=True
         )
     ]
-
-
-def design(
-    photos: Photo | Sequence[Photo],
-    water: Mapping[str, float],
-    *,
-    transport: AbstractTransport | None = None,
-    priors: dict[str, Parameter] | None = None,
-    matrix: bool = False,
-    know: Known | None = None,
-    noise: float = 0.03,
-) -> Fit:
-    """What a planned protocol would tell about a water, before the dive.
-
-    **Arguments:** as in `fit_photo`, but the readings of `photos` may be any positive numbers;
-    `water`: the supposed truth by parameter name (`{"chlorophyll": 1.0, ...}`); `noise`: relative
-    standard deviation of a reading.
-
-    **Returns** a `Fit` at that truth: its `sd`, intervals and quantities are those expected,
-    linearised, from readings with that noise.
-    """
-    photos = [photos] if isinstance(photos, Photo) else list(photos)
-    if any(photo.pixels is not None for photo in photos):
-        raise ValueError("design plans charts and open water; leave pixels out.")
-    transport = oi.TwoStream() if transport is None else transport
-    parameters, problem = _problem(photos, transport, priors, matrix, None, know, None)
-    known = {p.name: p for p in parameters}
-    for name in water:
-        if name not in known:
-            from oceaninv.foundation.tables import unknown
-
-            raise unknown("parameter", name, sorted(known))
-    x = jnp.asarray([
-        p.transform.coordinate(water.get(p.name, p.centre)) for p in parameters
-    ])  # fmt: skip
-    seen = predict_all(problem.layout, problem.readings, transport, problem.sunlight, x)
-    planned = tuple(
-        eqx.tree_at(
-            lambda r: (r.values, r.sigma, r.mask),
-            one,
-            (values, noise * values, jnp.ones_like(one.mask)),
-        )
-        for one, (values, _) in zip(problem.readings, seen, strict=True)
-    )
-    problem = dataclasses.replace(problem, readings=planned)
-    return _result(photos, parameters, problem, *_at(problem, x))
-
-
-def _fitted(readings, residual: np.ndarray, robust) -> np.ndarray:
-    """(reading, channel) fitted values of all photographs, NaN where the reading is masked."""
-    parts, at = [], 0
-    for one in readings:
-        size = one.values.size
-        misfit = residual[at : at + size].reshape(one.values.shape)
-        if robust is not None:
-            # Inverse of `_robust`: loss / (2 limit^2) = sqrt(1 + e^2) - 1.
-            loss = misfit**2 / (2.0 * float(robust) ** 2) + 1.0
-            misfit = np.sign(misfit) * float(robust) * np.sqrt(np.maximum(loss**2 - 1.0, 0.0))
-        fitted = np.asarray(one.values) - misfit * np.asarray(one.sigma)
-        parts.append(np.where(np.asarray(one.mask), fitted, np.nan))
-        at += size
-    return np.concatenate(parts)
-
-
-def _bent(bend: Bend | None, parameters, cov) -> tuple[np.ndarray | None, np.ndarray | None]:
-    """Bias and second-order spread, bounded: second order is not to be trusted further."""
-    if bend is None:
-        return None, None
-    sd = np.sqrt(np.diag(cov))
-    amounts = np.array([isinstance(p.transform, Log) and not p.nuisance for p in parameters])
-    return np.where(amounts, amount_bias(sd), 0.0), np.minimum(np.asarray(bend.spread), sd)
-
-
-def _result(
-    photos,
-    parameters,
-    problem: PhotoProblem,
-    optimum,
-    cov,
-    values,
-    slopes,
-    bend,
-    *,
-    stated: float | None = None,
-    factor: float = 1.0,
-) -> Fit:
-    readings, cov = problem.readings, np.asarray(cov)
-    observed = [np.where(np.asarray(r.mask), np.asarray(r.values), np.nan) for r in readings]
-    predictive = Predictive(
-        np.concatenate(observed),
-        _fitted(readings, np.asarray(optimum.residual), problem.robust),
-        np.concatenate([np.asarray(one.sigma) for one in readings]),
-        ("reading", "channel"),
-        "1",
-    )
-    quantities, sensitivity = quantities_of(values, slopes, parameters, cov, bend)
-    bias, spread = _bent(bend, parameters, cov)
-    if bend is not None:
-        cov = widened(problem, parameters, optimum.x, cov)
-    jerlov, away = nearest_jerlov(WAVELENGTH, quantities["Kd"])
-    count = int(sum(int(one.mask.sum()) for one in readings))
-    if stated is None:
-        stated = float(np.sum(np.asarray(optimum.residual) ** 2)) / max(count, 1)
-    return Fit(
-        parameters,
-        np.asarray(optimum.x),
-        cov,
-        quantities,
-        WAVELENGTH,
-        sentence(optimum.code),
-        predictive,
-        {
-            "source": "; ".join(photo.source for photo in photos),
-            "transport": type(problem.transport).__name__,
-            "kd_definition": "mean from the surface to the depth of 10 % light",
-            "nearest_jerlov_type": jerlov,
-            "nearest_jerlov_rms_ln_kd": away,
-            "values": "mode" if bend is None else "constituents corrected for curvature (Box 1971)",
-            "masked_values": sum(photo.masked for photo in photos),
-            "readings": count,
-            "reduced_chi2": stated,
-            "noise_factor": factor,
-        },
-        sensitivity=sensitivity,
-        problem=problem,
-        bias=bias,
-        bend=spread,
-    )

@@ -7,13 +7,12 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 import oceaninv as oi
-from fitting.core.parameters import water_iops
-from fitting.observations.photo import Photo, Pixels
+from fitting.observations.photo import WAVELENGTH, Photo, Pixels
 from fitting.photo._band_derivatives import downward, path_radiance
 from fitting.photo._lamp import lamplit
+from fitting.water_model.unknowns import water_iops
 from oceaninv.transport.base import AbstractTransport
 
-WAVELENGTH = oi.spectrum.bands(16)
 _FAR = 1e6
 # Range classes of pixels: within one, the range is taken as its mean.
 _CLASSES = 24

@@ -11,21 +11,11 @@ from jaxtyping import Array, Float
 
 import oceaninv as oi
 from fitting.core.least_squares import Optimum, least_squares
-from fitting.core.parameters import (
-    Identity,
-    Log,
-    Parameter,
-    Parameters,
-    Prior,
-    constituents,
-    pigment_packaging,
-    shape_nuisances,
-)
-from fitting.core.sampling import AbstractProblem
-from fitting.observations.photo import Photo
+from fitting.core.parameters import Identity, Log, Parameter, Parameters, Prior
+from fitting.core.problem import AbstractProblem
+from fitting.observations.photo import WAVELENGTH, Photo
 from fitting.photo.forward_model import (
     ALBEDO_TERMS,
-    WAVELENGTH,
     Readings,
     light_up,
     pixel_residual,
@@ -34,6 +24,7 @@ from fitting.photo.forward_model import (
     readings_of,
 )
 from fitting.water_model.quantities import UNITS, water_quantities
+from fitting.water_model.unknowns import constituents, pigment_packaging, shape_nuisances
 from oceaninv.transport.base import AbstractTransport
 
 _LAMP_EVENNESS = 0.1

@@ -53,7 +53,7 @@ class Restored:
     def save(self, stem: str | Path, *, overwrite: bool = False) -> list[Path]:
         """Write STEM_restored.exr, STEM_restored.png and STEM_residual.png; returns their paths."""
         from fitting.images.chart_reading import display
-        from oceaninv.rendering.render import write_image
+        from oceaninv.rendering.image_writer import write_image
 
         paths = restored_paths(Path(stem))
         write = functools.partial(write_image, overwrite=overwrite)

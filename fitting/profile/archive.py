@@ -9,7 +9,7 @@ import jax
 from fitting.core.parameters import Parameter
 from fitting.files import netcdf_writer
 from fitting.files.cast_file import Reading, profile_of, raw_casts
-from fitting.observations.array_checks import Profile
+from fitting.observations.profile import Profile
 from fitting.profile.fit_profiles import ProfileFits, fit_profiles
 from oceaninv.foundation.atomic_write import atomic_write, check_replaceable
 from oceaninv.transport.base import AbstractTransport

@@ -8,14 +8,14 @@ import numpy as np
 
 from fitting.core.least_squares import RESULTS
 from fitting.core.parameters import Parameter
-from fitting.core.result import Fit, Quantity
-from fitting.observations.array_checks import Profile
-from fitting.profile.constituents.from_kd_and_r import WaterFit, fit_waters, water_fit
-from fitting.profile.fit_profile import kd_fit, light_depths
+from fitting.core.result import STANDARD_NAMES, Fit, Quantity
+from fitting.observations.profile import Profile
+from fitting.profile.constituents.fit_waters import WaterFit, fit_waters, water_fit
 from fitting.profile.kd.band_fit import BandFit
 from fitting.profile.kd.batching import fit_lanes
-from fitting.profile.kd.reflectances import Cast, cast_of, cast_quantities
-from fitting.report.picture import STANDARD_NAMES
+from fitting.profile.kd.cast import Cast, cast_of
+from fitting.profile.kd.reflectances import cast_quantities
+from fitting.profile.kd.result import kd_fit, light_depths
 from oceaninv.transport.base import AbstractTransport
 
 if TYPE_CHECKING:

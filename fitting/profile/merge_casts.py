@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from fitting.observations.array_checks import Profile
+from fitting.observations.profile import Profile
 from fitting.profile.fit_profiles import fit_profiles
 
 

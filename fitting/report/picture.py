@@ -5,130 +5,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from fitting.core.result import Fit, Quantity
-from fitting.files import netcdf_writer
+from fitting.core.result import LEVEL, Fit, Quantity
 from fitting.report._bulk_picture import draw_coefficients
-from oceaninv.foundation.atomic_write import atomic_write, save_figure
+from oceaninv.foundation.atomic_write import save_figure
 
 if TYPE_CHECKING:
-    import xarray
-
-    from fitting.profile.kd.smooth_kd import SmoothKd
-
-STANDARD_NAMES = {
-    "Kd": "volume_attenuation_coefficient_of_downwelling_radiative_flux_in_sea_water",
-    "c": "volume_beam_attenuation_coefficient_of_radiative_flux_in_sea_water",
-    "bb": "volume_backwards_scattering_coefficient_of_radiative_flux_in_sea_water",
-    "Ed": "downwelling_radiative_flux_per_unit_wavelength_in_sea_water",
-    "Eu": "upwelling_radiative_flux_per_unit_wavelength_in_sea_water",
-    "Lu": "upwelling_radiance_per_unit_wavelength_in_sea_water",
-    "Rrs": "surface_ratio_of_upwelling_radiance_emerging_from_sea_water_"
-    "to_downwelling_radiative_flux_in_air",
-    "chlorophyll": "mass_concentration_of_chlorophyll_a_in_sea_water",
-}
-LEVEL = 0.95
-
-
-def dataset(fit: Fit) -> "xarray.Dataset":
-    """Parameters, quantities and observations of a fit with CF attributes.
-
-    95 % intervals carry the suffixes _low and _high; a parameter that the data do not fix has
-    `identifiable` 0.
-    """
-    import xarray as xr
-
-    return xr.Dataset(*_content(fit))
-
-
-def _content(fit: Fit) -> tuple[dict, dict, dict]:
-    """(variables, coordinates, attributes) of `dataset`."""
-    names = list(fit.parameters.names)
-    low, high = np.array([fit.interval(name, LEVEL) for name in names]).T
-    data: dict = {
-        "value": ("parameter", np.array(list(fit.value.values())), {"long_name": "best value"}),
-        "low": ("parameter", low, {"long_name": "lower end of the 95 % interval"}),
-        "high": ("parameter", high, {"long_name": "upper end of the 95 % interval"}),
-        "identifiable": (
-            "parameter",
-            np.array(list(fit.identifiable.values()), dtype=np.int8),
-            {
-                "long_name": "whether the data fix the parameter",
-                "flag_values": np.array([0, 1], dtype=np.int8),
-                "flag_meanings": "prior_dominated fixed_by_data",
-            },
-        ),
-        "parameter_unit": ("parameter", np.array([p.unit for p in fit.parameters], dtype=str)),
-        "correlation": (
-            ("parameter", "other"),
-            fit.correlation,
-            {"long_name": "correlation of the coordinates", "units": "1"},
-        ),
-    }
-    for name, quantity in fit.quantities.items():
-        dims = () if quantity.value.ndim == 0 else ("wavelength",)
-        attributes = {"units": quantity.unit, "long_name": quantity.long_name}
-        stem = name.split("_")[0]
-        if stem in STANDARD_NAMES:
-            attributes["standard_name"] = STANDARD_NAMES[stem]
-        below, above = quantity.interval(LEVEL, fit.dof)
-        data[name] = (dims, quantity.value, attributes)
-        for suffix, value in (("low", below), ("high", above)):
-            text = f"{suffix} end of the 95 % interval of {name}"
-            data[f"{name}_{suffix}"] = (dims, value, {"units": quantity.unit, "long_name": text})
-    predictive = fit.posterior_predictive
-    label = "Ed" if "depth" in predictive.axes else "reading"
-    for suffix, value in (
-        ("observed", predictive.observed),
-        ("predicted", predictive.predicted),
-        ("sd", predictive.sd),
-    ):
-        attributes = {"units": predictive.unit, "long_name": f"{suffix} {label}"}
-        if label == "Ed" and suffix != "sd":
-            attributes["standard_name"] = STANDARD_NAMES["Ed"]
-        data[f"{label}_{suffix}"] = (predictive.axes, value, attributes)
-    coords: dict = {
-        "parameter": np.array(names, dtype=str),
-        "wavelength": (
-            "wavelength",
-            fit.wavelength,
-            {"units": "nm", "standard_name": "radiation_wavelength"},
-        ),
-    }
-    if "depth" in predictive.coords:
-        coords["depth"] = (
-            "depth",
-            predictive.coords["depth"],
-            {"units": "m", "standard_name": "depth", "positive": "down", "axis": "Z"},
-        )
-    if "channel" in predictive.axes:
-        coords["channel"] = np.array(["R", "G", "B"], dtype=str)
-    if "coefficient" in predictive.axes:
-        coords["coefficient"] = predictive.coords["coefficient"]
-    attributes = {
-        "Conventions": "CF-1.11",
-        "title": "Fit of underwater light by oceaninv",
-        "result": fit.result,
-        "metadata": fit.metadata_json(),
-    }
-    return data, coords, attributes
-
-
-def save(
-    path: str | Path,
-    fit: Fit,
-    constituents: Fit | None = None,
-    smooth: "SmoothKd | None" = None,
-    *,
-    overwrite: bool = False,
-) -> None:
-    """Write a fit as netCDF; constituents and a smooth Kd(z) go into groups of these names."""
-    with atomic_write(path, overwrite=overwrite) as temporary:
-        temporary.unlink()  # the writer starts from nothing or from a netCDF file, not an empty one
-        netcdf_writer.write(temporary, *_content(fit), mark=True)
-        if constituents is not None:
-            netcdf_writer.write(temporary, *_content(constituents), group="constituents")
-        if smooth is not None:
-            netcdf_writer.write(temporary, *smooth.content(), group="smooth")
+    pass
 
 
 def picture(
@@ -310,3 +192,7 @@ def wavelength_colour(wavelength: float) -> tuple[float, float, float]:
     spectrum = matplotlib.colormaps["turbo"]
     red, green, blue, _ = spectrum(float(np.clip((wavelength - 370.0) / 340.0, 0.02, 0.98)))
     return 0.85 * red, 0.85 * green, 0.85 * blue
+
+
+# `Fit` lies in a package below this one and must not import it.
+Fit.draw = staticmethod(picture)

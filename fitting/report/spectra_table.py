@@ -4,9 +4,8 @@ from pathlib import Path
 
 import numpy as np
 
-from fitting.core.result import Fit
+from fitting.core.result import LEVEL, Fit
 from fitting.files.seabass import seabass_text
-from fitting.report.picture import LEVEL
 from oceaninv.foundation.atomic_write import atomic_write, checksum_line, with_checksum
 
 # As SeaBASS spells them.

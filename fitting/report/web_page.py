@@ -6,8 +6,8 @@ import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 
-from fitting.core.result import Fit
-from fitting.report.picture import LEVEL, picture
+from fitting.core.result import LEVEL, Fit
+from fitting.report.picture import picture
 from oceaninv.foundation.atomic_write import atomic_write, checksum_line, with_checksum
 
 _STYLE = (
@@ -74,7 +74,7 @@ def write_html(
 def _fixed(fit: Fit) -> str:
     """The table of what is taken for granted, of fits of photographs."""
     from fitting.photo.assumptions import assumptions
-    from fitting.photo.fit_photo import PhotoProblem
+    from fitting.photo.problem import PhotoProblem
     from fitting.water_model.alternatives import ALTERNATIVES
 
     if not isinstance(fit.problem, PhotoProblem):

@@ -12,15 +12,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from fitting.core.parameters import (
-    Log,
-    Parameter,
-    Parameters,
-    constituents,
-    water_iops,
-    water_unknowns,
-)
+from fitting.core.parameters import Log, Parameter, Parameters
 from fitting.water_model.quantities import MARKS
+from fitting.water_model.unknowns import constituents, water_iops, water_unknowns
 from oceaninv import FlatSurface, IOPs, Layers, Light, Scene
 from oceaninv.transport.base import AbstractTransport
 from oceaninv.transport.plane_parallel.plane_parallel import PlaneParallel

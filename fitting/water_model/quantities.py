@@ -7,8 +7,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from fitting.core.parameters import Parameters, water_iops
+from fitting.core.parameters import Parameters
 from fitting.core.result import Quantity, derived_quantity
+from fitting.water_model.unknowns import water_iops
 from oceaninv import FlatSurface, IOPs, Light, Scene
 from oceaninv.transport.base import AbstractTransport
 from oceaninv.water.attenuation import kd_jerlov1976, kd_lee2005

@@ -8,14 +8,21 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-import oceaninv as oi
-from oceaninv.fidelity import thinned
+from oceaninv.fidelity.scene_terms import thinned
+from oceaninv.foundation.interface_optics import Rays
+from oceaninv.scene.scene import Scene
 from oceaninv.transport.base import AbstractTransport
-from oceaninv.transport.closed_form.kd import monzon2024
+from oceaninv.transport.closed_form.four_stream import FourStream
+from oceaninv.transport.closed_form.kd import KdTransport, monzon2024
+from oceaninv.transport.closed_form.two_stream import TwoStream
+from oceaninv.transport.front import irradiance, radiance
+from oceaninv.transport.monte_carlo.monte_carlo import MonteCarlo
+from oceaninv.transport.plane_parallel.plane_parallel import PlaneParallel
+from oceaninv.water.attenuation import kd_lee2005
 from oceaninv.water.iops import IOPs
 
 # (scene, origin, direction, depths) to (ray or depth, wl).
-Answer = Callable[[oi.Scene, jax.Array, jax.Array, jax.Array], jax.Array]
+Answer = Callable[[Scene, jax.Array, jax.Array, jax.Array], jax.Array]
 
 
 class Model(NamedTuple):
@@ -33,38 +40,38 @@ def through(transport: AbstractTransport, quantity: str) -> Answer:
     def answer(scene, origin, direction, depths):
         key = jax.random.key(0)
         if quantity == "irradiance":
-            return oi.irradiance(scene, depths, transport, key=key).Ed.value
-        return oi.radiance(scene, oi.Rays(origin, direction), transport, key=key).value
+            return irradiance(scene, depths, transport, key=key).Ed.value
+        return radiance(scene, Rays(origin, direction), transport, key=key).value
 
     return answer
 
 
-def references(scene: oi.Scene, quantity: str) -> tuple[Model, Model]:
+def references(scene: Scene, quantity: str) -> tuple[Model, Model]:
     """A converged model, and a poorer one whose difference from it says how converged."""
     generations = 1 if scene.inelastic is None else 3
     orders = 1 if quantity == "irradiance" else None
-    made = (oi.PlaneParallel(n, orders, generations) for n in (28, 22))
+    made = (PlaneParallel(n, orders, generations) for n in (28, 22))
     first, second = (Model(_name(t), through(t, quantity)) for t in made)
     return first, second
 
 
-def ladder(scene: oi.Scene, quantity: str) -> list[Model]:
+def ladder(scene: Scene, quantity: str) -> list[Model]:
     """Everything that may answer, from the printed closure to random walks."""
     flux = quantity == "irradiance"
-    closed = [oi.KdTransport(), oi.TwoStream(), oi.FourStream()]
+    closed = [KdTransport(), TwoStream(), FourStream()]
     dials = ((4, 1), (8, 1), (16, 1)) if flux else ((4, 4), (8, 6), (16, 8), (16, 16))
-    exact = [oi.PlaneParallel(streams, orders) for streams, orders in dials]
+    exact = [PlaneParallel(streams, orders) for streams, orders in dials]
     if scene.inelastic is not None:
-        exact.insert(2, oi.PlaneParallel(8, 1 if flux else 6, generations=2))
+        exact.insert(2, PlaneParallel(8, 1 if flux else 6, generations=2))
     models = [Model(_name(t), through(t, quantity)) for t in (*closed, *exact)]
     if not flux:
         models.insert(0, Model("printed closure", _printed))
-    single = (oi.TwoStream(), oi.FourStream(), exact[1])
+    single = (TwoStream(), FourStream(), exact[1])
     models += [Model(f"{_name(t)}, float32", through(t, quantity), "float32") for t in single]
     walks = ((2**12, 32), (2**16, 32)) if flux else ((2**6, 4), (2**6, 32), (2**10, 32))
     models += [
         Model(_name(t), through(t, quantity))
-        for t in (oi.MonteCarlo(paths, bounces) for paths, bounces in walks)
+        for t in (MonteCarlo(paths, bounces) for paths, bounces in walks)
     ]
     if not flux and scene.inelastic is None:
         models += _few_bands(scene, quantity)
@@ -75,10 +82,10 @@ def ladder(scene: oi.Scene, quantity: str) -> list[Model]:
     return models
 
 
-def _few_bands(scene: oi.Scene, quantity: str) -> list[Model]:
+def _few_bands(scene: Scene, quantity: str) -> list[Model]:
     count = len(scene.wavelength)
     models = []
-    for fewer, transport in ((3, oi.TwoStream()), (6, oi.TwoStream()), (6, oi.PlaneParallel(8, 6))):
+    for fewer, transport in ((3, TwoStream()), (6, TwoStream()), (6, PlaneParallel(8, 6))):
         if fewer < count:
             pick = np.unique(np.linspace(0, count - 1, fewer).round().astype(int))
             name = f"{_name(transport)}, {len(pick)} bands"
@@ -90,7 +97,7 @@ def _thin(answer: Answer, pick: np.ndarray) -> Answer:
     return lambda scene, *points: answer(thinned(scene, pick), *points)
 
 
-def _one_layer(scene: oi.Scene, quantity: str) -> list[Model]:
+def _one_layer(scene: Scene, quantity: str) -> list[Model]:
     """The layer in which most of the scene happens, in place of all."""
 
     def top(answer):
@@ -116,27 +123,27 @@ def _elastic(quantity: str) -> list[Model]:
 
 def _three(quantity: str) -> tuple[AbstractTransport, ...]:
     """One of each kind."""
-    exact = oi.PlaneParallel(8, 1 if quantity == "irradiance" else 6)
-    return oi.TwoStream(), oi.FourStream(), exact
+    exact = PlaneParallel(8, 1 if quantity == "irradiance" else 6)
+    return TwoStream(), FourStream(), exact
 
 
 def _name(transport: AbstractTransport) -> str:
-    if isinstance(transport, oi.PlaneParallel):
+    if isinstance(transport, PlaneParallel):
         more = f", generations={transport.generations}" if transport.generations > 1 else ""
         return f"PlaneParallel({transport.streams}, {transport.orders}{more})"
-    if isinstance(transport, oi.MonteCarlo):
+    if isinstance(transport, MonteCarlo):
         return f"MonteCarlo({transport.paths}, {transport.bounces})"
     return type(transport).__name__
 
 
-def _printed(scene: oi.Scene, origin, direction, depths):
+def _printed(scene: Scene, origin, direction, depths):
     """Radiance by the closure of Monzon et al. 2024 as printed, single scattering apart."""
     del depths
     water = scene.water
     if not isinstance(water, IOPs):
         raise ValueError("the printed closure knows one water only.")
     mu0, beam = scene.beam()
-    kd = oi.attenuation.kd_lee2005(water.a, water.bb, scene.light.zenith)
+    kd = kd_lee2005(water.a, water.bb, scene.light.zenith)
     surface = mu0 * beam
     if scene.light.diffuse is not None:
         surface = surface + jnp.pi * scene.light.diffuse

@@ -12,9 +12,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-import oceaninv as oi
 from oceaninv.fidelity.candidate_models import Model, ladder, references
 from oceaninv.foundation.atomic_write import atomic_write, checksum_line, save_figure, with_checksum
+from oceaninv.scene.camera import Camera
+from oceaninv.scene.scene import Scene
+from oceaninv.water.attenuation import kd_lee2005
 from oceaninv.water.iops import IOPs
 
 RAYS, DEPTHS = 48, 10
@@ -44,7 +46,7 @@ class Trade:
 
 
 def measure(
-    scene: oi.Scene, camera: oi.Camera, quantity: str = "photograph", repeats: int = 7, title=""
+    scene: Scene, camera: Camera, quantity: str = "photograph", repeats: int = 7, title=""
 ) -> Trade:
     """Every model of the ladder on one scene.
 
@@ -82,13 +84,13 @@ def _front(rows: list[Row]) -> tuple[Row, ...]:
 class _Judge:
     """Runs a model on the scene's sample of rays or depths."""
 
-    def __init__(self, scene: oi.Scene, camera: oi.Camera, quantity: str):
+    def __init__(self, scene: Scene, camera: Camera, quantity: str):
         self.scene, self.quantity, self.response = scene, quantity, camera.response
         rays = camera.rays()
         pick = np.unique(np.linspace(0, len(rays.origin) - 1, RAYS).round().astype(int))
         self.origin, self.direction = rays.origin[pick], rays.direction[pick]
         water = scene.water if isinstance(scene.water, IOPs) else scene.water.iops[0]
-        kd = oi.attenuation.kd_lee2005(water.a, water.bb, scene.light.zenith)
+        kd = kd_lee2005(water.a, water.bb, scene.light.zenith)
         deepest = float(jnp.max(4.6 / kd))
         if scene.floor is not None:
             deepest = min(deepest, float(scene.floor.depth))
@@ -136,7 +138,7 @@ class _Judge:
         return float(np.quantile(relative, 0.95))
 
 
-def _all_but_phases(scene: oi.Scene):
+def _all_but_phases(scene: Scene):
     def phases(scene):
         waters = (scene.water,) if isinstance(scene.water, IOPs) else scene.water.iops
         return [water.phases for water in waters]

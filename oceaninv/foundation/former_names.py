@@ -23,7 +23,7 @@ class _Finder(importlib.abc.MetaPathFinder, importlib.abc.Loader):
     def exec_module(self, module):
         today = self.names[module.__name__]
         warnings.warn(f"{module.__name__} is now {today}.", DeprecationWarning, stacklevel=2)
-        module.__getattr__ = functools.partial(getattr, importlib.import_module(today))
+        module.__dict__["__getattr__"] = functools.partial(getattr, importlib.import_module(today))
 
 
 def hand_on(names: Mapping[str, str]) -> None:

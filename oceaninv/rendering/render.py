@@ -11,11 +11,15 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-import oceaninv as oi
-from oceaninv.fidelity import expected_error
-from oceaninv.foundation.atomic_write import MARK, atomic_write
+from oceaninv.fidelity.planning import expected_error
+from oceaninv.foundation import spectrum
+from oceaninv.foundation.interface_optics import Rays
+from oceaninv.rendering.image_writer import write_image
+from oceaninv.scene import objects
+from oceaninv.scene.scene import Scene
+from oceaninv.scene.scene_file import SceneFile
 from oceaninv.transport.base import AbstractTransport
-from oceaninv.transport.front import check_ranges, check_rays
+from oceaninv.transport.front import check_ranges, check_rays, radiance
 from oceaninv.transport.objects.range_map_radiance import ranged_radiance
 
 _PIECE = 2**14
@@ -37,12 +41,12 @@ class Picture:
 
 
 @eqx.filter_jit
-def _piece(scene: oi.Scene, rays: oi.Rays, transport, key):
-    return oi.radiance(scene, rays, transport, key=key)
+def _piece(scene: Scene, rays: Rays, transport, key):
+    return radiance(scene, rays, transport, key=key)
 
 
 @eqx.filter_jit
-def _distance(scene: oi.Scene, rays: oi.Rays):
+def _distance(scene: Scene, rays: Rays):
     """Metres to an object, the floor or the surface, inf where there is none."""
     down = rays.direction[:, 2]
     still = down == 0
@@ -51,13 +55,13 @@ def _distance(scene: oi.Scene, rays: oi.Rays):
     if scene.floor is not None:
         end = jnp.where(down > 0, (scene.floor.depth - rays.origin[:, 2]) / speed, end)
     if scene.objects:
-        hit = jax.vmap(lambda o, d: oi.objects.nearest(scene.objects, o, d))
+        hit = jax.vmap(lambda o, d: objects.nearest(scene.objects, o, d))
         end = jnp.minimum(end, hit(rays.origin, rays.direction).distance)
     return jnp.where(still & ~jnp.isfinite(end), jnp.inf, end)
 
 
 def draw(
-    found: oi.SceneFile,
+    found: SceneFile,
     transport: AbstractTransport,
     *,
     seed: int = 0,
@@ -85,7 +89,7 @@ def draw(
     starts = range(0, count, size)
     for start in starts:
         rows = np.minimum(np.arange(start, start + size), count - 1)
-        lines = oi.Rays(jnp.asarray(origin[rows], dtype), jnp.asarray(direction[rows], dtype))
+        lines = Rays(jnp.asarray(origin[rows], dtype), jnp.asarray(direction[rows], dtype))
         key = jax.random.fold_in(random, start)
         if ranges is None or ranged is None:
             estimate = _piece(scene, lines, transport, key)
@@ -102,7 +106,7 @@ def draw(
         if veil:
             # Just short of what ends the ray, so that only the water is left.
             length = jnp.where(jnp.isfinite(distance), distance * (1 - 1e-5), 1e9)
-            short = oi.Rays(lines.origin, lines.direction, length)
+            short = Rays(lines.origin, lines.direction, length)
             water.append(np.asarray(_piece(scene, short, transport, key).value))
         progress(min(start + size, count) / count)
     shape = (camera.height, camera.width)
@@ -119,13 +123,13 @@ def draw(
     )
 
 
-def channels(found: oi.SceneFile, radiance: np.ndarray) -> np.ndarray:
+def channels(found: SceneFile, radiance: np.ndarray) -> np.ndarray:
     """Linear channel values (row, column, channel) of the file's camera."""
     response, wavelength = found.camera.response, found.scene.wavelength
     return radiance @ np.asarray(response.smooth_weights(wavelength, found.fine_light)).T
 
 
-def display_matrix(response: oi.spectrum.Response) -> np.ndarray:
+def display_matrix(response: spectrum.Response) -> np.ndarray:
     """Matrix from channels to XYZ: exact for the standard observer, else the one that serves the
     patches of a ColorChecker in daylight best."""
     if response.channels == ("X", "Y", "Z"):
@@ -134,14 +138,14 @@ def display_matrix(response: oi.spectrum.Response) -> np.ndarray:
     names = ("dark skin", "light skin", "blue sky", "foliage", "blue flower", "bluish green",
              "orange", "purplish blue", "moderate red", "purple", "yellow green", "orange yellow",
              "blue", "green", "red", "yellow", "magenta", "cyan", "white", "neutral 5")  # fmt: skip
-    light = oi.spectrum.daylight(grid)
-    patches = np.stack([light * oi.spectrum.colour_checker(name, grid) for name in names])
+    light = spectrum.daylight(grid)
+    patches = np.stack([light * spectrum.colour_checker(name, grid) for name in names])
     seen = patches @ np.asarray(response.weights(grid)).T
-    wanted = patches @ np.asarray(oi.spectrum.cie_1931().weights(grid)).T
+    wanted = patches @ np.asarray(spectrum.cie_1931().weights(grid)).T
     return np.linalg.lstsq(seen, wanted, rcond=None)[0].T
 
 
-def to_display(found: oi.SceneFile, values: np.ndarray) -> np.ndarray:
+def to_display(found: SceneFile, values: np.ndarray) -> np.ndarray:
     """sRGB in [0, 1] for looking at, from linear channel values.
 
     The file's exposure, or one that brings the 99th percentile of the brightest primary to 0.85.
@@ -153,9 +157,9 @@ def to_display(found: oi.SceneFile, values: np.ndarray) -> np.ndarray:
     xyz = values @ display_matrix(found.camera.response).T
     exposure = found.sensor.exposure
     if exposure is not None:
-        return oi.spectrum.to_srgb(float(exposure) * xyz)
+        return spectrum.to_srgb(float(exposure) * xyz)
     brightest = np.percentile(np.max(xyz @ _linear_srgb().T, axis=-1), 99)
-    return oi.spectrum.to_srgb(0.85 / max(brightest, 1e-30) * xyz)
+    return spectrum.to_srgb(0.85 / max(brightest, 1e-30) * xyz)
 
 
 def _linear_srgb() -> np.ndarray:
@@ -165,7 +169,7 @@ def _linear_srgb() -> np.ndarray:
     )
 
 
-def _predicted(found: oi.SceneFile, transport) -> dict:
+def _predicted(found: SceneFile, transport) -> dict:
     """The error to expect of a picture's channels (root mean square over the mean, of the worst
     channel), and what it does not cover."""
     scene = found.scene
@@ -190,7 +194,7 @@ def _predicted(found: oi.SceneFile, transport) -> dict:
     return {"predicted_error": float(f"{error:.2g}"), "predicted_error_covers": covered}
 
 
-def metadata(path: Path, found: oi.SceneFile, transport, seed: int, picture: Picture) -> str:
+def metadata(path: Path, found: SceneFile, transport, seed: int, picture: Picture) -> str:
     """What made a picture, as JSON."""
     names = ("oceaninv", "jax")
     versions = {}
@@ -216,7 +220,7 @@ def metadata(path: Path, found: oi.SceneFile, transport, seed: int, picture: Pic
 
 def save(
     path: Path,
-    found: oi.SceneFile,
+    found: SceneFile,
     picture: Picture,
     note: str,
     *,
@@ -251,7 +255,7 @@ def save(
     write_image(path, values, names, bits, note, overwrite=overwrite)
 
 
-def _exr(found: oi.SceneFile, picture: Picture, spectral: bool) -> tuple[np.ndarray, list[str]]:
+def _exr(found: SceneFile, picture: Picture, spectral: bool) -> tuple[np.ndarray, list[str]]:
     veil = picture.veil
     assert veil is not None
     if spectral:
@@ -270,31 +274,3 @@ def _exr(found: oi.SceneFile, picture: Picture, spectral: bool) -> tuple[np.ndar
     values = [whole_light, whole_light - water, water, picture.range[..., None]]
     layers = [*letters, *(f"direct.{c}" for c in letters), *(f"veil.{c}" for c in letters)]
     return np.concatenate(values, axis=-1), [*layers, "range"]
-
-
-def write_image(
-    path: Path,
-    values: np.ndarray,
-    names: list[str],
-    bits: str,
-    note: str,
-    *,
-    overwrite: bool = False,
-) -> None:
-    import OpenImageIO as oiio
-
-    height, width, count = values.shape
-    spec = oiio.ImageSpec(width, height, count, bits)
-    spec.channelnames = tuple(names)
-    spec.attribute("ImageDescription", note)
-    spec.attribute("Software", MARK)
-    if bits == "uint8":
-        spec.attribute("oiio:ColorSpace", "sRGB")
-    with atomic_write(path, overwrite=overwrite) as draft:
-        out = oiio.ImageOutput.create(str(draft))
-        if out is None or not out.open(str(draft), spec):
-            reason = oiio.geterror() if out is None else out.geterror()
-            raise ValueError(f"cannot write {path}: {reason}.")
-        written = out.write_image(np.ascontiguousarray(values, dtype=np.float32))
-        if not written or not out.close():
-            raise ValueError(f"cannot write {path}: {out.geterror()}.")

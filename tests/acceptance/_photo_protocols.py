@@ -17,8 +17,7 @@ from fitting.core.likelihood_regions import held, whitening
 from fitting.core.parameters import Parameter, Parameters, Prior
 from fitting.core.profile_likelihood import followed, walk
 from fitting.core.result import amount_bias
-from fitting.photo.fit_photo import PhotoProblem, prepare, search
-from fitting.photo.problem import predict_all
+from fitting.photo.problem import PhotoProblem, predict_all, prepare, search
 from fitting.water_model.quantities import water_quantities
 from tests.acceptance.photo_statistics import WAVELENGTH, patches
 

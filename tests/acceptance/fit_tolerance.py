@@ -50,7 +50,8 @@ def photographs():
 
     import oceaninv as oi
     from fitting.images.photo_csv import read_photo
-    from fitting.photo.fit_photo import predict, prepare
+    from fitting.photo.forward_model import predict
+    from fitting.photo.problem import prepare
     from tests.test_photo import photo
 
     chlorophyll, cdom, detritus = WATERS[1]

@@ -25,10 +25,11 @@ import jax.numpy as jnp
 import numpy as np
 
 import oceaninv as oi
-from fitting import Background, Chart, Fit, Photo, fit_photo
+from fitting import Background, Chart, Fit, Photo, assumptions, fit_photo
 from fitting.commands.main import quick_compilation
-from fitting.photo import assumptions
-from fitting.photo.fit_photo import WAVELENGTH, predict, prepare
+from fitting.observations.photo import WAVELENGTH
+from fitting.photo.forward_model import predict
+from fitting.photo.problem import prepare
 from fitting.water_model.alternatives import ALTERNATIVES, PREFIX
 from fitting.water_model.quantities import water_quantities
 from tests.acceptance._photo_protocols import CONSTITUENTS, NAMES, QUANTITIES, WATERS, photo

@@ -23,7 +23,8 @@ from fitting.commands.main import quick_compilation
 from fitting.core.least_squares import least_squares
 from fitting.core.result import quantile
 from fitting.images.chart_reading import read_chart
-from fitting.photo.fit_photo import predict, prepare
+from fitting.photo.forward_model import predict
+from fitting.photo.problem import prepare
 
 SHARED = Path(__file__).parents[3] / "shared" / "photos"
 # Column and row of the corners of the patches, by eye.

@@ -40,7 +40,9 @@ from fitting.commands.main import quick_compilation
 from fitting.core.least_squares import covariance, curvature, value_and_jacobian
 from fitting.core.parameters import Prior
 from fitting.core.result import amount_bias, half_width
-from fitting.photo.fit_photo import WAVELENGTH, PhotoProblem, predict, prepare, search
+from fitting.observations.photo import WAVELENGTH
+from fitting.photo.forward_model import predict
+from fitting.photo.problem import PhotoProblem, prepare, search
 from fitting.water_model.quantities import water_quantities
 from tests.acceptance import _mismatched
 

@@ -27,8 +27,8 @@ import numpy as np
 
 import oceaninv as oi
 from fitting import fit_apparent
-from fitting.core.parameters import water_iops
 from fitting.core.result import quantile
+from fitting.water_model.unknowns import water_iops
 from oceaninv.water.attenuation import kd_lee2005, kd_morel_maritorena2001
 
 LEAST_BANDS = 6

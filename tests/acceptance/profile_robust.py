@@ -27,7 +27,7 @@ from scipy.stats import norm
 from fitting import Profile
 from fitting.core.result import quantile
 from fitting.profile.kd.band_fit import Lanes, fit_bands
-from fitting.profile.kd.reflectances import cast_of
+from fitting.profile.kd.cast import cast_of
 from tests.acceptance.profile_statistics import casts
 
 NOISE, DEPTHS, BANDS = 0.05, 60, np.array([443.0, 490.0, 555.0])

@@ -31,7 +31,10 @@ import oceaninv as oi
 from fitting import Background, Chart, Photo, Pixels, fit_photo, fit_photos
 from fitting.core.least_squares import value_and_jacobian
 from fitting.images.chart_targets import target
-from fitting.photo.fit_photo import WAVELENGTH, _problem, predict, prepare
+from fitting.observations.photo import WAVELENGTH
+from fitting.photo.fit_photo import _problem
+from fitting.photo.forward_model import predict
+from fitting.photo.problem import prepare
 from tests.test_photo import scenery
 
 RANGES = (1.0, 2.0, 4.0)

@@ -28,9 +28,10 @@ from scipy.optimize import curve_fit
 
 import oceaninv as oi
 from fitting import Profile, fit_profiles, stream_profiles
-from fitting.core.parameters import Parameters, water_unknowns
+from fitting.core.parameters import Parameters
 from fitting.profile.archive import Task, fit_archive
 from fitting.profile.constituents.batched_search import curve
+from fitting.water_model.unknowns import water_unknowns
 
 CASTS, BANDS, DEPTHS = 1000, 7, 100
 LOOP = 100

@@ -18,9 +18,10 @@ from jaxtyping import Array, Bool, Float
 
 import oceaninv as oi
 from fitting.core.least_squares import REMAINING, covariance, value_and_jacobian
-from fitting.core.parameters import Parameters, Prior, water_iops
+from fitting.core.parameters import Parameters, Prior
 from fitting.core.program_cache import kept
 from fitting.water_model.quantities import water_quantities
+from fitting.water_model.unknowns import water_iops
 from oceaninv.transport.base import AbstractTransport
 
 # Chebyshev's nodes in the square root of depth: denser near the surface, where K changes.

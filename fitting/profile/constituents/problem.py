@@ -8,8 +8,8 @@ from jaxtyping import Array, Bool, Float
 import oceaninv as oi
 from fitting.core.least_squares import covariance, least_squares, value_and_jacobian
 from fitting.core.parameters import Parameters, Prior
+from fitting.core.problem import AbstractProblem
 from fitting.core.program_cache import kept
-from fitting.core.sampling import AbstractProblem
 from fitting.water_model.layered_water import interfaces, layer_quantities, water_of
 from fitting.water_model.quantities import water_quantities
 from oceaninv.transport.base import AbstractTransport

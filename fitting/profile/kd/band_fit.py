@@ -18,6 +18,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from fitting.core.program_cache import kept
+from fitting.profile.kd.noise_statistics import correlation_of_neighbours, previous_used, whiten
 
 RELATIVE_NOISE = 0.05
 # Standard deviations beyond which a reading is an outlier: one in 16,000 good ones is lost.
@@ -33,7 +34,6 @@ _LARGEST_LN_ED = 300.0
 _LENGTHS = (0.0, 0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0)
 _LONGEST = 1 / 5  # of the range: longer waves cannot be told from the water
 _RISES = ((0.0, 1.0), (2.0, 0.1), (4.0, 0.05))
-_MOST_CORRELATED = 0.98
 # Prior odds of correlated against independent noise (no preference), and of rising against even.
 _ODDS_CORRELATED, _ODDS_RISING = 1.0, 0.2
 
@@ -260,11 +260,7 @@ def _averaged(lane, state, jacobian, misfit, noise, used, spread):
     Returns the step from `state`, its covariance, relative noise, degrees of freedom, mean length,
     and the standard deviations of the likeliest candidate.
     """
-    index = jnp.arange(len(lane.depth))
-    last = jax.lax.cummax(jnp.where(used, index, -1))
-    before = jnp.concatenate([jnp.full_like(last[:1], -1), last[:-1]])
-    first = before < 0
-    before = jnp.maximum(before, 0)
+    before, first = previous_used(used)
     gap = lane.depth - lane.depth[before]
     top = jnp.min(jnp.where(used, lane.depth, jnp.inf))
     reach = jnp.max(jnp.where(used, lane.depth, -jnp.inf)) - top
@@ -279,14 +275,12 @@ def _averaged(lane, state, jacobian, misfit, noise, used, spread):
         even = jnp.sqrt(jnp.sum(jnp.where(used, rise**2, 0.0)) / n)
         sd = spread(noise, rise / even)
         length = steps * spacing
-        rho = jnp.exp(-gap / jnp.maximum(length, 1e-9 * jnp.maximum(spacing, 1e-9)))
-        rho = jnp.where(first | (steps == 0), 0.0, jnp.minimum(rho, _MOST_CORRELATED))
+        rho = jnp.where(first, 0.0, correlation_of_neighbours(gap, length))
         rest = jnp.sqrt(1.0 - rho**2)
 
         scaled = jnp.concatenate([jacobian, misfit[:, None]], axis=1) / sd[:, None]
         scaled = jnp.where(used[:, None], scaled, 0.0)
-        whitened = (scaled - rho[:, None] * scaled[before]) / rest[:, None]
-        whitened = jnp.where(used[:, None], whitened, 0.0)
+        whitened = jnp.where(used[:, None], whiten(scaled, before, rho), 0.0)
         whitened, right = whitened[:, :-1], whitened[:, -1]
         # The dark level is known by itself: one more independent observation.
         prior = jnp.zeros(p, misfit.dtype).at[-1].set(1.0)
@@ -303,8 +297,7 @@ def _averaged(lane, state, jacobian, misfit, noise, used, spread):
         prior_weight = jnp.where(steps == 0, 0.0, jnp.log(_ODDS_CORRELATED / (len(_LENGTHS) - 1.0)))
         prior_weight += jnp.where(gain == 0, 0.0, jnp.log(_ODDS_RISING / (len(_RISES) - 1.0)))
         likelihood = jnp.where(allowed, likelihood + prior_weight, -jnp.inf)
-        middle = jnp.exp(-spacing / jnp.maximum(length, 1e-9 * spacing))
-        middle = jnp.where(steps == 0, 0.0, jnp.minimum(middle, _MOST_CORRELATED))
+        middle = correlation_of_neighbours(spacing, length)
         share_left = (1.0 - middle) / (1.0 + middle)
         return likelihood, move, scale * inverse, scale, share_left, length, jnp.sqrt(scale) * sd
 

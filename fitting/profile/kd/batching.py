@@ -1,77 +1,15 @@
 """Casts to lanes and back: windows, padding to shared shapes, chunks of one size."""
 
-import dataclasses
-import functools
 from collections.abc import Sequence
 
 import jax
 import numpy as np
 
-from fitting.observations.array_checks import MIN_DEPTHS, Profile
 from fitting.profile.kd.band_fit import BandFit, Lanes, fit_bands
-from fitting.profile.kd.layer_selection import filled, ninther
+from fitting.profile.kd.cast import Job
 
 # Lanes of one compiled call for many casts of up to 128 depths; of longer ones fewer.
 MOST = 1024
-
-
-def light_of(profile: Profile) -> np.ndarray:
-    """(depth, wl) irradiance less darkness, over the light above."""
-    light = profile.Ed - profile.dark
-    return light if profile.reference is None else light / profile.reference
-
-
-def light_level_mask(profile: Profile, level: float = 0.1) -> np.ndarray:
-    """(depth, wl) mask of the samples above the depth where Ed falls to `level` of its maximum.
-
-    The maximum and the crossing are taken on a running median of nine, which single waves do not
-    move.  A band that never falls so far, or does so within 5 samples, is used as it is.
-    """
-    mask = profile.mask
-    smooth = filled(np.where(mask, light_of(profile), 0.0), mask)
-    smooth = ninther(smooth) if len(smooth) >= 5 else smooth
-    top = np.max(np.where(mask, smooth, -np.inf), axis=0)
-    dark = mask & (smooth < level * top) & (np.cumsum(mask, axis=0) > MIN_DEPTHS)
-    return mask & ~np.logical_or.accumulate(dark, axis=0)
-
-
-def window(profile: Profile, depth_range) -> tuple[np.ndarray, str]:
-    """The samples to use, (depth, wl), and which mean Kd they make."""
-    if depth_range is None:
-        return light_level_mask(profile), "mean from the surface to the depth of 10 % light"
-    low, high = depth_range
-    mask = profile.mask & ((profile.depth >= low) & (profile.depth <= high))[:, None]
-    for band, count in zip(profile.wavelength, mask.sum(axis=0), strict=True):
-        if count < MIN_DEPTHS:
-            raise ValueError(
-                f"depth_range {low:g}-{high:g} m leaves {count} usable depths at {band:g} nm; at "
-                f"least {MIN_DEPTHS} are needed."
-            )
-    return mask, f"mean over {low:g} to {high:g} m"
-
-
-def padded(count: int) -> int:
-    """Depths are padded to a power of two, so that casts of many lengths share a program."""
-    return max(32, 1 << (count - 1).bit_length())
-
-
-@dataclasses.dataclass(frozen=True)
-class Job:
-    """One cast, the samples to use and where its layers meet."""
-
-    profile: Profile
-    mask: np.ndarray
-    interfaces: np.ndarray
-
-    @property
-    def shape(self) -> tuple[int, bool, int]:
-        """What decides which program fits it: depths, whether errors are given, interfaces."""
-        return padded(self.rows), self.profile.sigma is not None, len(self.interfaces)
-
-    @functools.cached_property
-    def rows(self) -> int:
-        """Rows down to the deepest sample used."""
-        return int(np.flatnonzero(self.mask.any(axis=1))[-1]) + 1
 
 
 def lanes_of(jobs: Sequence[Job], lanes: int | None = None) -> Lanes:

@@ -1,83 +1,26 @@
 """How many layers a cast holds, and whether what a fit leaves over looks like noise."""
 
-import math
-
 import numpy as np
 
 from fitting.observations.profile_sensor import MIN_DEPTHS
 from fitting.profile.kd.band_fit import RELATIVE_NOISE
+from fitting.profile.kd.noise_statistics import (
+    correlation_of_neighbours,
+    filled,
+    ninther,
+    previous_used,
+    runs_p,
+    whiten,
+)
 
 _MAX_LAYERS = 4
 _CANDIDATES = 60
 _OUTLIER = 5.0
-_MOST_CORRELATED = 0.98
 _STEPS = (0.0, 0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0)
 _THINNEST = 0.1
 _STRONG = 6.0
 _LEAST_P = 0.01
 _GOLDEN, _GOLDEN_STEPS = 0.6180339887498949, 8
-
-
-def ninther(values: np.ndarray) -> np.ndarray:
-    """Running median of medians of three (Tukey), over nine samples along axis 0.
-
-    Up to one bright or dark sample in each three leaves no trace; unlike means it does not bend
-    a monotonic curve.
-    """
-    padded = np.pad(values, [(4, 4), *[(0, 0)] * (values.ndim - 1)], mode="reflect")
-
-    def middle(a, b, c):
-        return np.maximum(np.minimum(a, b), np.minimum(np.maximum(a, b), c))
-
-    threes = middle(padded[:-2], padded[1:-1], padded[2:])
-    return middle(threes[:-6], threes[3:-3], threes[6:])
-
-
-def filled(values: np.ndarray, mask: np.ndarray) -> np.ndarray:
-    """Masked values replaced by the valid one before (or, at the start, after) along axis 0."""
-    rows = np.arange(len(values))[:, None]
-    before = np.maximum.accumulate(np.where(mask, rows, -1), axis=0)
-    first = np.argmax(mask, axis=0)
-    return np.take_along_axis(values, np.where(before < 0, first[None, :], before), axis=0)
-
-
-def runs_p(residual: np.ndarray) -> float:
-    """Probability that independent noise has as few or as many runs of one sign (two-sided).
-
-    Wald & Wolfowitz 1940, normal approximation; small where a fit bends away from the data.
-    """
-    signs = np.sign(residual[np.isfinite(residual) & (residual != 0)])
-    plus, minus = int((signs > 0).sum()), int((signs < 0).sum())
-    total = plus + minus
-    if plus == 0 or minus == 0:
-        return 0.0 if total > MIN_DEPTHS else 1.0
-    runs = 1 + int(np.sum(signs[1:] != signs[:-1]))
-    mean = 2.0 * plus * minus / total + 1.0
-    variance = (mean - 1.0) * (mean - 2.0) / (total - 1.0)
-    return math.erfc(abs(runs - mean) / math.sqrt(2.0 * max(variance, 1e-12)))
-
-
-def whitened(residual: np.ndarray, depth: np.ndarray, length: np.ndarray) -> np.ndarray:
-    """(depth, wl) residuals, NaN where unused, less what waves of a `length` (wl,) m explain."""
-    lines = _Lines(depth, residual, np.where(np.isfinite(residual), 1.0, 0.0))
-    return np.where(lines.used, lines.white(np.nan_to_num(residual), length), np.nan)
-
-
-def worth(depth: np.ndarray, mask: np.ndarray, length: np.ndarray) -> np.ndarray:
-    """(depth, wl) factors on the deviations of samples whose noise is correlated over depth.
-
-    Waves of a `length` (wl,) m leave n (1 - rho)/(1 + rho) independent samples of n, rho the
-    correlation of neighbours: what a smooth curve through them is known by.
-    """
-    rows = np.where(mask, np.arange(len(depth))[:, None], -1)
-    last = np.maximum.accumulate(rows, axis=0)
-    before = np.concatenate([np.full_like(last[:1], -1), last[:-1]])
-    gap = depth[:, None] - depth[np.maximum(before, 0)]
-    length = np.nan_to_num(length)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        rho = np.where((before >= 0) & (length > 0), np.exp(-gap / length), 0.0)
-    rho = np.minimum(rho, _MOST_CORRELATED)
-    return np.sqrt((1.0 + rho) / (1.0 - rho))
 
 
 def choose_interfaces(
@@ -236,25 +179,16 @@ class _Lines:
         self.used = weight > 0
         self.count = np.maximum(self.used.sum(axis=0), 1)
         self.length, self.bands = 0.0, float(len(self.count))
-        rows = np.where(self.used, np.arange(len(depth))[:, None], -1)
-        last = np.maximum.accumulate(rows, axis=0)
-        before = np.concatenate([np.full_like(last[:1], -1), last[:-1]])
-        self.first, self.before = before < 0, np.maximum(before, 0)
+        self.before, self.first = previous_used(self.used)
         self.gap = depth[:, None] - depth[self.before]
 
     def _rho(self, length):
-        with np.errstate(divide="ignore", invalid="ignore"):
-            rho = np.exp(-self.gap / np.asarray(length, dtype=np.float64))
-        rho = np.where(np.asarray(length) > 0, np.minimum(rho, _MOST_CORRELATED), 0.0)
+        rho = correlation_of_neighbours(self.gap, np.asarray(length))
         return np.where(self.first | ~self.used, 0.0, rho)
 
     def white(self, columns, length):
         """`columns` (depth, wl, ...) with the part that the sample before tells removed."""
-        rho = self._rho(length)
-        shape = (*rho.shape, *[1] * (columns.ndim - 2))
-        index = self.before.reshape(shape)
-        before = np.take_along_axis(columns, np.broadcast_to(index, columns.shape), axis=0)
-        return (columns - rho.reshape(shape) * before) / np.sqrt(1.0 - rho**2).reshape(shape)
+        return whiten(columns, self.before, self._rho(length))
 
     def lanes(self, interfaces, length):
         """Whitened design (wl, depth, unknown) and data (wl, depth, 1), and normal matrices."""

@@ -8,11 +8,12 @@ import dataclasses
 import numpy as np
 
 from fitting.core.result import Quantity
-from fitting.observations.array_checks import Profile
+from fitting.observations.profile import Profile
 from fitting.observations.profile_sensor import MIN_DEPTHS, noise_floor
 from fitting.profile.kd.band_fit import BandFit, thickness
-from fitting.profile.kd.batching import Job
-from fitting.profile.kd.layer_selection import choose_interfaces, filled, line_fit, ninther
+from fitting.profile.kd.cast import Job
+from fitting.profile.kd.layer_selection import choose_interfaces, line_fit
+from fitting.profile.kd.noise_statistics import filled, ninther
 
 # Photons of 1 nm that carry one joule, umol: wavelength/(h c N_A).
 _PHOTONS = 1e-3 / 0.119626566

@@ -1,17 +1,14 @@
 """What upward light and the light above add to Kd: Ku, KLu, R, Rrs, nLw at the surface."""
 
-import dataclasses
 from collections.abc import Mapping
 
 import numpy as np
 
 from fitting.core.result import Quantity
-from fitting.observations.array_checks import Profile
+from fitting.observations.profile import Profile
 from fitting.observations.profile_sensor import MIN_DEPTHS
-from fitting.profile.constituents.batched_search import Spectra, nodes_and_basis
 from fitting.profile.kd.band_fit import BandFit, thickness
-from fitting.profile.kd.batching import Job, light_of, padded, window
-from fitting.profile.kd.layer_selection import choose_interfaces, worth
+from fitting.profile.kd.cast import Cast, Job, lit
 
 _INDEX = 1.34
 # Sky light as a share of the light above, its reflectance, and that of upward light from below;
@@ -19,119 +16,6 @@ _INDEX = 1.34
 _SKY, _SKY_REFLECTED, _BACK, _Q = 0.3, 0.066, 0.48, 4.0
 _CROSSING = 0.02
 _HALF_BAND = 5.0
-# What readings of AC-9 and AC-S are worth: calibration, scattered light; relative, and 1/m.
-_BEAM_RELATIVE, _BEAM_FLOOR = 0.03, 0.005
-# Relative errors of R by closed forms (their docstrings); of exact models, those of the scene.
-_REFLECTANCE_ERROR = {"TwoStream": 0.1, "FourStream": 0.05}
-
-
-@dataclasses.dataclass(frozen=True)
-class Cast:
-    """What is fitted of one profile: "Ed" and, where there are any, "Eu" and "Lu".
-
-    `bands`: which of the profile's bands a kind holds; `definition`: which mean Kd this is;
-    `notes`: sentences on upward light that could not be used.
-    """
-
-    jobs: Mapping[str, Job]
-    bands: Mapping[str, np.ndarray]
-    definition: str
-    notes: Mapping[str, str]
-
-    @property
-    def job(self) -> Job:
-        """That of Ed."""
-        return self.jobs["Ed"]
-
-
-def cast_of(profile: Profile, depth_range, layers: int | None) -> Cast:
-    """The samples to use and where layers meet.  Eu and Lu have windows and layers of their own.
-
-    Raises ValueError where Ed cannot be used; upward light that cannot be is left out and noted.
-    """
-    if layers is not None and layers < 1:
-        raise ValueError(f"layers is {layers}; give 1 or more, or None to let the data choose.")
-    job, definition = _job(profile, depth_range, layers)
-    jobs, bands = {"Ed": job}, {"Ed": np.ones(len(profile.wavelength), bool)}
-    notes = {}
-    for kind in ("Eu", "Lu"):
-        try:
-            found = profile.upward(kind, depth_range or (0.0, np.inf))
-            if found is not None:
-                jobs[kind] = _job(found[0], depth_range, layers)[0]
-                bands[kind] = found[1]
-        except ValueError as error:
-            notes[kind] = str(error)
-    return Cast(jobs, bands, definition, notes)
-
-
-def spectra_of(cast: Cast, fits: Mapping[str, BandFit], transport) -> Spectra:
-    """What a fit of constituents sees of a cast: readings of Ed, and R where Eu was measured."""
-    job, fit = cast.job, fits["Ed"]
-    profile, n = job.profile, job.rows
-    depth = profile.depth[:n]
-    reference = 1.0 if profile.reference is None else profile.reference[:n]
-    path = thickness(depth, job.interfaces)
-    start = np.exp(np.clip(fit.x[None, :, 0] - path @ np.exp(fit.x[:, 1:]).T, -300.0, 300.0))
-    if profile.sigma is None:
-        sd = np.hypot(fit.noise * start, profile.floor / reference)
-    else:
-        sd = profile.sigma[:n] / reference
-    used = fit.used[:, :n].T & job.mask[:n] & (np.asarray(fit.code) == 0)[None, :]
-    sd = sd * worth(depth, used, np.asarray(fit.length))
-    nodes, basis = nodes_and_basis(depth, float(depth.max()))
-
-    def pad(array, fill):
-        widths = [(0, padded(n) - n)] + [(0, 0)] * (array.ndim - 1)
-        return np.pad(array, widths, constant_values=fill)
-
-    ln_r, weight = reflected(
-        cast_quantities(cast, fits).get("R"), len(profile.wavelength), transport
-    )
-    light = np.where(used, light_of(profile)[:n], 1.0)
-    beam, beam_weight = beam_of(profile, used)
-    return Spectra(
-        nodes,
-        pad(basis, 0.0),
-        pad(light, 1.0),
-        pad(np.where(used, sd, 1.0), 1.0),
-        pad(used, False),
-        pad(np.where(used, start, 1.0), 1.0),
-        ln_r,
-        weight,
-        beam,
-        beam_weight,
-    )
-
-
-def beam_of(profile: Profile, used: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(2, beam) a and c without pure water's, means over the water whose light is used, and one
-    over their deviations: what readings are worth, and the error of a mean over depth."""
-    inside = profile.depth <= profile.depth[: len(used)][used.any(axis=1)].max(initial=0.0)
-    values, weights = [], []
-    for table in (profile.a, profile.c):
-        if table is None:
-            table = np.full((len(profile.depth), len(profile.beam_wavelength)), np.nan)
-        seen = np.isfinite(table) & inside[:, None]
-        count = seen.sum(axis=0)
-        number = np.maximum(count, 1)
-        mean = np.where(seen, table, 0.0).sum(axis=0) / number
-        apart = np.where(seen, (table - mean) ** 2, 0.0).sum(axis=0)
-        variance = apart / np.maximum(count - 1, 1) / number
-        sd = np.sqrt(variance + (_BEAM_RELATIVE * mean) ** 2 + _BEAM_FLOOR**2)
-        values.append(mean)
-        weights.append(np.where(count > 0, 1.0 / sd, 0.0))
-    return np.stack(values), np.stack(weights)
-
-
-def reflected(R: Quantity | None, bands: int, transport) -> tuple[np.ndarray, np.ndarray]:
-    """(wl,) ln R and one over its deviation, which holds what the transport gets wrong."""
-    if R is None:
-        return np.zeros(bands), np.zeros(bands)
-    known = np.isfinite(R.value) & np.isfinite(R.sd) & (R.value > 0)
-    error = _REFLECTANCE_ERROR.get(type(transport).__name__, 0.02)
-    sd = np.where(known, np.hypot(R.sd, error), 1.0)
-    return np.log(np.where(known, R.value, 1.0)), np.where(known, 1.0 / sd, 0.0)
 
 
 def upward_notes(cast: Cast) -> dict:
@@ -151,16 +35,6 @@ def upward_notes(cast: Cast) -> dict:
     return notes | {f"{kind}_left_out": sentence for kind, sentence in cast.notes.items()}
 
 
-def _job(profile: Profile, depth_range, layers) -> tuple[Job, str]:
-    mask, definition = window(profile, depth_range)
-    interfaces = np.zeros(0)
-    if layers != 1:
-        interfaces = choose_interfaces(
-            profile.depth, light_of(profile), profile.floor, mask, layers
-        )
-    return Job(profile, mask, interfaces), definition
-
-
 def mean_attenuation(job: Job, fit: BandFit, text: str) -> Quantity:
     """K from the shallowest to the deepest sample used, the mean over layers by thickness."""
     x, cov = np.asarray(fit.x), np.asarray(fit.covariance)
@@ -175,12 +49,6 @@ def mean_attenuation(job: Job, fit: BandFit, text: str) -> Quantity:
         share = parts / parts.sum(axis=1, keepdims=True)
     variance = np.einsum("wi,wij,wj->w", share, cov[:, 1:, 1:], share)
     return Quantity(mean, np.sqrt(variance), "m-1", text, dof=_dof(job, fit))
-
-
-def lit(job: Job) -> np.ndarray:
-    """(wl,) whether the window holds light that stands out of the noise in darkness."""
-    light = np.where(job.mask, light_of(job.profile), -np.inf)
-    return np.partition(light, -MIN_DEPTHS, axis=0)[-MIN_DEPTHS] > 5.0 * job.profile.floor
 
 
 def _dof(job: Job, fit: BandFit) -> np.ndarray | None:

@@ -6,10 +6,9 @@ import json
 import numpy as np
 
 from fitting.core.result import Quantity
-from fitting.observations.array_checks import Profile
-from fitting.profile.kd.batching import Job, light_of
+from fitting.observations.profile import Profile
+from fitting.profile.kd.cast import Job, cast_of, light_of
 from fitting.profile.kd.layer_selection import weighted_lines
-from fitting.profile.kd.reflectances import cast_of
 
 KNOTS = 20
 # How far ln Kd bends, as the standard deviation of its second difference from knot to knot.

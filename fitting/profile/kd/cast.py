@@ -1,0 +1,127 @@
+"""Which samples of a cast are fitted, and where layers meet."""
+
+import dataclasses
+import functools
+from collections.abc import Mapping
+
+import numpy as np
+
+from fitting.observations.profile import Profile
+from fitting.observations.profile_sensor import MIN_DEPTHS
+from fitting.profile.kd.layer_selection import choose_interfaces
+from fitting.profile.kd.noise_statistics import filled, ninther
+
+
+def light_of(profile: Profile) -> np.ndarray:
+    """(depth, wl) irradiance less darkness, over the light above."""
+    light = profile.Ed - profile.dark
+    return light if profile.reference is None else light / profile.reference
+
+
+def light_level_mask(profile: Profile, level: float = 0.1) -> np.ndarray:
+    """(depth, wl) mask of the samples above the depth where Ed falls to `level` of its maximum.
+
+    The maximum and the crossing are taken on a running median of nine, which single waves do not
+    move.  A band that never falls so far, or does so within 5 samples, is used as it is.
+    """
+    mask = profile.mask
+    smooth = filled(np.where(mask, light_of(profile), 0.0), mask)
+    smooth = ninther(smooth) if len(smooth) >= 5 else smooth
+    top = np.max(np.where(mask, smooth, -np.inf), axis=0)
+    dark = mask & (smooth < level * top) & (np.cumsum(mask, axis=0) > MIN_DEPTHS)
+    return mask & ~np.logical_or.accumulate(dark, axis=0)
+
+
+def window(profile: Profile, depth_range) -> tuple[np.ndarray, str]:
+    """The samples to use, (depth, wl), and which mean Kd they make."""
+    if depth_range is None:
+        return light_level_mask(profile), "mean from the surface to the depth of 10 % light"
+    low, high = depth_range
+    mask = profile.mask & ((profile.depth >= low) & (profile.depth <= high))[:, None]
+    for band, count in zip(profile.wavelength, mask.sum(axis=0), strict=True):
+        if count < MIN_DEPTHS:
+            raise ValueError(
+                f"depth_range {low:g}-{high:g} m leaves {count} usable depths at {band:g} nm; at "
+                f"least {MIN_DEPTHS} are needed."
+            )
+    return mask, f"mean over {low:g} to {high:g} m"
+
+
+def padded(count: int) -> int:
+    """Depths are padded to a power of two, so that casts of many lengths share a program."""
+    return max(32, 1 << (count - 1).bit_length())
+
+
+@dataclasses.dataclass(frozen=True)
+class Job:
+    """One cast, the samples to use and where its layers meet."""
+
+    profile: Profile
+    mask: np.ndarray
+    interfaces: np.ndarray
+
+    @property
+    def shape(self) -> tuple[int, bool, int]:
+        """What decides which program fits it: depths, whether errors are given, interfaces."""
+        return padded(self.rows), self.profile.sigma is not None, len(self.interfaces)
+
+    @functools.cached_property
+    def rows(self) -> int:
+        """Rows down to the deepest sample used."""
+        return int(np.flatnonzero(self.mask.any(axis=1))[-1]) + 1
+
+
+@dataclasses.dataclass(frozen=True)
+class Cast:
+    """What is fitted of one profile: "Ed" and, where there are any, "Eu" and "Lu".
+
+    `bands`: which of the profile's bands a kind holds; `definition`: which mean Kd this is;
+    `notes`: sentences on upward light that could not be used.
+    """
+
+    jobs: Mapping[str, Job]
+    bands: Mapping[str, np.ndarray]
+    definition: str
+    notes: Mapping[str, str]
+
+    @property
+    def job(self) -> Job:
+        """That of Ed."""
+        return self.jobs["Ed"]
+
+
+def cast_of(profile: Profile, depth_range, layers: int | None) -> Cast:
+    """The samples to use and where layers meet.  Eu and Lu have windows and layers of their own.
+
+    Raises ValueError where Ed cannot be used; upward light that cannot be is left out and noted.
+    """
+    if layers is not None and layers < 1:
+        raise ValueError(f"layers is {layers}; give 1 or more, or None to let the data choose.")
+    job, definition = _job(profile, depth_range, layers)
+    jobs, bands = {"Ed": job}, {"Ed": np.ones(len(profile.wavelength), bool)}
+    notes = {}
+    for kind in ("Eu", "Lu"):
+        try:
+            found = profile.upward(kind, depth_range or (0.0, np.inf))
+            if found is not None:
+                jobs[kind] = _job(found[0], depth_range, layers)[0]
+                bands[kind] = found[1]
+        except ValueError as error:
+            notes[kind] = str(error)
+    return Cast(jobs, bands, definition, notes)
+
+
+def _job(profile: Profile, depth_range, layers) -> tuple[Job, str]:
+    mask, definition = window(profile, depth_range)
+    interfaces = np.zeros(0)
+    if layers != 1:
+        interfaces = choose_interfaces(
+            profile.depth, light_of(profile), profile.floor, mask, layers
+        )
+    return Job(profile, mask, interfaces), definition
+
+
+def lit(job: Job) -> np.ndarray:
+    """(wl,) whether the window holds light that stands out of the noise in darkness."""
+    light = np.where(job.mask, light_of(job.profile), -np.inf)
+    return np.partition(light, -MIN_DEPTHS, axis=0)[-MIN_DEPTHS] > 5.0 * job.profile.floor

@@ -1,0 +1,135 @@
+"""The `Fit` of Kd, and what all fits of a cast report."""
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from fitting.core.least_squares import sentence
+from fitting.core.parameters import Parameter, Parameters
+from fitting.core.result import Fit, Predictive, Quantity
+from fitting.observations.profile import Profile
+from fitting.profile.kd.band_fit import BandFit, thickness
+from fitting.profile.kd.cast import Cast, Job, lit
+from fitting.profile.kd.noise_statistics import runs_p, whitened
+from fitting.profile.kd.par_depths import light_of_bands, light_of_sensor, light_quantities
+from fitting.profile.kd.reflectances import cast_quantities, upward_notes
+
+
+def _band_model(profile: Profile, x: np.ndarray, interfaces: np.ndarray) -> np.ndarray:
+    """(depth, wl) what band fits `x` (wl, 1 + layer) say that the sensor reads."""
+    path = thickness(profile.depth, interfaces)
+    light = np.exp(x[None, :, 0] - path @ np.exp(x[:, 1:]).T)
+    return profile.dark + (light if profile.reference is None else profile.reference * light)
+
+
+def _used(job: Job, bands: BandFit) -> np.ndarray:
+    """(depth, wl) the samples of the window that were not outliers."""
+    used = np.zeros_like(job.mask)
+    used[: job.rows] = bands.used[:, : job.rows].T
+    return used & job.mask
+
+
+def _metadata(cast: Cast, bands: BandFit) -> dict:
+    job, profile = cast.job, cast.job.profile
+    used = _used(job, bands)
+    counts = dict(profile.counts)
+    counts["missing, zero or negative"] = profile.masked
+    counts["outliers"] = int((job.mask & ~used).sum())
+    metadata = {
+        "source": profile.source,
+        "kd_definition": cast.definition,
+        "depths_used": [int(n) for n in job.mask.sum(axis=0)],
+        "deepest_used_m": [float(profile.depth[m].max()) for m in job.mask.T],
+        "masked_values": profile.masked,
+        "left_out": {reason: count for reason, count in counts.items() if count},
+        "dark_level": profile.dark.tolist(),
+        "surface_reference": "none" if profile.reference is None else "slow changes divided out",
+        "self_shading_and_immersion": "not applied",
+        "relative_noise": ([float(s) for s in bands.noise] if profile.sigma is None else "given"),
+        "noise_correlated_over_m": [float(s) for s in bands.length],
+    }
+    if profile.tilt is not None:
+        metadata["largest_tilt_degrees"] = float(np.nanmax(profile.tilt))
+    return metadata
+
+
+def _kd_parameters(wavelength: np.ndarray, x: np.ndarray) -> Parameters:
+    """Ed0 of all bands, then Kd of all bands in the first layer, and so on downwards."""
+    count = x.shape[1] - 1
+    rows = [("Ed0_{:g}", "W m-2 nm-1", True)]
+    rows += [("Kd_{:g}" + (f"_{i + 1}" if count > 1 else ""), "m-1", False) for i in range(count)]
+    return Parameters(
+        [
+            Parameter(name.format(wl), float(np.exp(value)), unit=unit, nuisance=nuisance)
+            for (name, unit, nuisance), column in zip(rows, x.T, strict=True)
+            for wl, value in zip(wavelength, column, strict=True)
+        ]
+    )
+
+
+def light_depths(cast: Cast, bands: BandFit) -> tuple[dict[str, Quantity], dict]:
+    """PAR below the surface and the depths of 10 and 1 % of it, where the data allow, and notes."""
+    sensor = light_of_sensor(cast.job.profile)
+    light = sensor or light_of_bands(cast.job, bands, lit(cast.job))
+    return ({}, {}) if light is None else light_quantities(light, sensor is not None)
+
+
+def kd_fit(cast: Cast, fits: Mapping[str, BandFit]) -> Fit:
+    """The fit of Kd, and of K of upward light where there is any, as a `Fit`."""
+    job, bands = cast.job, fits["Ed"]
+    profile, mask, interfaces = job.profile, job.mask, job.interfaces
+    x, cov = np.asarray(bands.x), np.asarray(bands.covariance)
+    n, unknowns = x.shape
+    parameters = _kd_parameters(profile.wavelength, x)
+    full = np.zeros((unknowns * n, unknowns * n))
+    order = np.arange(n)
+    for i in range(unknowns):
+        for j in range(unknowns):
+            full[order + i * n, order + j * n] = cov[:, i, j]
+    bright = lit(job)
+    dof = None if profile.sigma is not None else np.tile(bands.dof, unknowns)
+    quantities = cast_quantities(cast, fits)
+    depths, notes = light_depths(cast, bands)
+    model = _band_model(profile, x, interfaces)
+    metadata = _metadata(cast, bands) | notes
+    metadata |= upward_notes(cast)
+    metadata["interfaces_m"] = interfaces.tolist()
+    metadata["bands_without_light_nm"] = profile.wavelength[~bright].tolist()
+    metadata["bands_not_converged_nm"] = profile.wavelength[bands.code != 0].tolist()
+    predictive = _predictive(profile, mask, bands, model)
+    left = (predictive.observed - model) / predictive.sd
+    left = np.where(_used(job, bands), left, np.nan)
+    white = whitened(left, profile.depth, np.nan_to_num(bands.length))
+    # Noise may be independent or waves of the length found: the test rejects what is neither.
+    metadata["runs_test_p"] = [
+        max(map(runs_p, columns)) for columns in zip(left.T, white.T, strict=True)
+    ]
+    return Fit(
+        parameters,
+        x.T.reshape(-1),
+        full,
+        quantities | depths,
+        profile.wavelength,
+        sentence(bands.code[bright].max(initial=0)),
+        predictive,
+        metadata,
+        dof,
+    )
+
+
+def _noise_sd(profile: Profile, bands: BandFit, model: np.ndarray) -> np.ndarray:
+    if profile.sigma is not None:
+        return profile.sigma
+    return np.hypot(bands.noise * (model - profile.dark), profile.floor)
+
+
+def _predictive(profile, mask, bands, model) -> Predictive:
+    observed = np.where(mask, profile.Ed, np.nan)
+    return Predictive(
+        observed,
+        model,
+        _noise_sd(profile, bands, model),
+        ("depth", "wavelength"),
+        "W m-2 nm-1",
+        {"depth": profile.depth},
+    )
