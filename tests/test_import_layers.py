@@ -4,11 +4,11 @@ import ast
 import graphlib
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
 
-ROOT = Path(__file__).parents[1]
+from tests.paths import ROOT
+
 # Lowest first; names in one row do not import each other.  Every module lies in one of these.
 LAYERS = (
     ("oceaninv.foundation",),

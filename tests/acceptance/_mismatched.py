@@ -73,7 +73,7 @@ def specific(path: Path, wavelength) -> dict[str, np.ndarray]:
 
 def exact_bands(recipe, table, wavelength):
     """Exact fields of one water: per band the slab, a and b."""
-    from tests._disort import deep_thickness, refracted_beam, solve
+    from tests.reference.disort import deep_thickness, refracted_beam, solve
 
     sun = recipe[3]
     mu0, beam = refracted_beam(sun, INDEX)

@@ -52,7 +52,7 @@ def photographs():
     from fitting.images.photo_csv import read_photo
     from fitting.photo.forward_model import predict
     from fitting.photo.problem import prepare
-    from tests.test_photo import photo
+    from tests.fitting.photo.test_fit_photo import photo
 
     chlorophyll, cdom, detritus = WATERS[1]
     parameters, (readings,), sunlight = prepare([photo()], oi.TwoStream())

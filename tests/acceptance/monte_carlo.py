@@ -13,7 +13,6 @@ lie within their stated bound.  `noisy`: the cases of which a number above 1e-3 
 import json
 import sys
 import time
-from pathlib import Path
 
 import jax
 import jax.numpy as jnp
@@ -22,8 +21,9 @@ from scipy import stats
 
 import oceaninv as oi
 from oceaninv.water.phase import HenyeyGreenstein
+from tests.paths import REFERENCE
 
-REFERENCE = Path(__file__).parents[2].parent / "shared" / "reference" / "radiative_transfer.json"
+REFERENCE_FILE = REFERENCE / "radiative_transfer.json"
 
 
 def scene_of(case):
@@ -37,7 +37,7 @@ def scene_of(case):
 
 def fluxes(paths: int, cases: list[int]):
     """Rows (case, name, z, stderr over value, value, bias over stderr)."""
-    rows, known = [], json.loads(REFERENCE.read_text())["flux"]["cases"]
+    rows, known = [], json.loads(REFERENCE_FILE.read_text())["flux"]["cases"]
     for i in cases:
         case = known[i]
         transport = oi.MonteCarlo(paths, 64, thin=False)
@@ -67,7 +67,7 @@ def main() -> None:
     exponent = int(sys.argv[1]) if len(sys.argv) > 1 else 17
     which = sys.argv[2] if len(sys.argv) > 2 else "1"
     start = time.process_time()
-    every = list(range(len(json.loads(REFERENCE.read_text())["flux"]["cases"])))
+    every = list(range(len(json.loads(REFERENCE_FILE.read_text())["flux"]["cases"])))
     few = which == "noisy"
     cases = noisy(fluxes(2**15, every), 2**15) if few else every[:: int(which)]
     report(fluxes(2**exponent, cases), exponent)

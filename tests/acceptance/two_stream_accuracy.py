@@ -23,7 +23,7 @@ import numpy as np
 
 import oceaninv as oi
 from oceaninv.transport.closed_form.kd import monzon2024
-from tests._disort import deep_thickness, refracted_beam, solve
+from tests.reference.disort import deep_thickness, refracted_beam, solve
 
 WATERS = ("IB", "II", "III", "3C")
 WAVELENGTHS = (450.0, 515.0, 580.0, 640.0)

@@ -35,7 +35,7 @@ from fitting.observations.photo import WAVELENGTH
 from fitting.photo.fit_photo import _problem
 from fitting.photo.forward_model import predict
 from fitting.photo.problem import prepare
-from tests.test_photo import scenery
+from tests.fitting.photo.test_fit_photo import scenery
 
 RANGES = (1.0, 2.0, 4.0)
 

@@ -21,8 +21,8 @@ import numpy as np  # noqa: E402
 
 import oceaninv as oi  # noqa: E402
 from oceaninv.transport.closed_form.kd import monzon2024  # noqa: E402
-from tests import test_two_stream as reference  # noqa: E402
 from tests.acceptance import two_stream_accuracy as accuracy  # noqa: E402
+from tests.oceaninv.transport.closed_form import test_two_stream as reference  # noqa: E402
 
 WAVELENGTH = np.linspace(420.0, 680.0, 8)
 

@@ -1,0 +1,298 @@
+"""Casts from files of several makes, and files that are damaged or leave something open."""
+
+import numpy as np
+import pytest
+import xarray as xr
+
+from fitting import fit_profile
+from fitting.files.cast_file import Reading, read_cast, read_casts
+from fitting.files.irradiance_units import irradiance_factor, irradiance_units_in
+from fitting.files.seabass import read_seabass, seabass_text
+from fitting.observations.profile import Profile
+from tests.paths import ROOT
+
+CASTS = ROOT.parent / "shared/data/casts"
+DEPTH = np.linspace(0.5, 30.0, 60)
+KD = {412: 0.12, 490: 0.06}
+
+
+def ed(depth=DEPTH, wavelength=490):
+    return 1.2 * np.exp(-KD[wavelength] * depth)
+
+
+def shared(name):
+    path = CASTS / name
+    if not path.exists():
+        pytest.skip(f"the cast is not here: {name}")
+    return path
+
+
+@pytest.mark.parametrize(
+    ("text", "factor"),
+    [
+        ("W m-2 nm-1", 1.0),
+        ("W/m^2/nm", 1.0),
+        ("W m^-2 nm^-1", 1.0),
+        ("uW/cm^2/nm", 0.01),
+        ("µW cm-2 nm-1", 0.01),
+        ("microW/(sq_cm*nm)", 0.01),
+        ("mW/cm^2/um", 0.01),
+        ("uW/cm^2/nm/sr", 0.01),
+        ("W m-2 um-1", 0.001),
+        ("W m-2", None),
+        ("umol m-2 s-1", None),
+        ("counts", None),
+    ],
+)
+def test_units_in_many_spellings(text, factor):
+    assert irradiance_factor(text) == (None if factor is None else pytest.approx(factor))
+
+
+def test_units_in_a_comment():
+    text = "downcast; Ed uW cm-2 nm-1, PAR umol photons m-2 s-1, depth in m"
+    assert irradiance_units_in(text) == ["uW cm-2 nm-1"]
+
+
+def seabass(folder, missing=(), units="m,uW/cm^2/nm,uW/cm^2/nm,degrees"):
+    rows = np.stack([DEPTH, 100 * ed(wavelength=412), 100 * ed(), np.full(60, 3.0)], axis=1)
+    rows[list(missing), 1] = np.nan
+    path = folder / "cast.sb"
+    header = {"station": "A1", "north_latitude": "40.5[DEG]", "south_latitude": "40.5[DEG]"}
+    fields = ["depth", "Ed412", "Ed490", "tilt"]
+    path.write_text(seabass_text(fields, units.split(","), rows, header))
+    return path
+
+
+def test_seabass_units_and_missing_values_are_honoured(tmp_path):
+    cast = read_cast(seabass(tmp_path, missing=(3, 4)))
+    np.testing.assert_allclose(cast.Ed[:, 1], ed(), rtol=1e-7)
+    assert np.isnan(cast.Ed[3, 0])
+    assert cast.counts["missing"] == 2
+    fit = fit_profile(cast)
+    np.testing.assert_allclose(fit.quantities["Kd"].value, list(KD.values()), rtol=1e-4)
+    assert fit.metadata["left_out"]["missing"] == 2
+    assert fit.metadata["largest_tilt_degrees"] == 3.0
+    with pytest.raises(ValueError, match=r"ed412 is in 'volts'"):
+        read_cast(seabass(tmp_path, units="m,volts,volts,degrees"))
+
+
+def test_seabass_codes_beyond_detection(tmp_path):
+    path = seabass(tmp_path)
+    text = path.read_text().replace(
+        "/missing=-9999", "/missing=-9999\n/below_detection_limit=-8888"
+    )
+    lines = text.splitlines()
+    lines[-1] = f"{DEPTH[-1]},-8888,{100 * ed()[-1]},3"
+    path.write_text("\n".join(lines))
+    assert read_cast(path).counts == {"below detection limit": 1}
+
+
+@pytest.mark.parametrize(
+    ("change", "sentence"),
+    [
+        (("/end_header", ""), "header never ends"),
+        (("/units=m,", "/units="), "unit of column 'depth' is not stated"),
+        (("/delimiter=comma", ""), "lacks /delimiter="),
+        (("/delimiter=comma", "/delimiter=semicolon"), "comma, space or tab"),
+        (("depth,Ed412", "deep,Ed412"), "column 'depth' is missing"),
+        ((",3\n", "\n"), "values for 4 fields"),
+    ],
+)
+def test_bad_seabass_gets_a_sentence(tmp_path, change, sentence):
+    path = seabass(tmp_path)
+    path.write_text(path.read_text().replace(*change))
+    with pytest.raises(ValueError, match=sentence) as caught:
+        read_cast(path)
+    assert "cast.sb" in str(caught.value)
+
+
+def test_a_flow_through_file_is_no_profile():
+    file = read_seabass(shared("example_seabass_tara_acs.sb"))
+    assert file.degrees("north_latitude") == pytest.approx(6.036)
+    assert file.columns["ap440.7"].shape == file.columns["wt"].shape
+    with pytest.raises(ValueError, match="this is not a profile"):
+        read_cast(shared("example_seabass_tara_acs.sb"))
+
+
+def argo(folder, engine="h5netcdf", casts=2, **changes):
+    pressure = np.tile(DEPTH * 1.01, (casts, 1))
+    adjusted = np.full(pressure.shape, np.nan)
+    adjusted[0] = ed(wavelength=412)
+    flags = np.full(pressure.shape, b"1")
+    flags[0, 5], flags[0, 6] = b"4", b"9"
+    dims = ("N_PROF", "N_LEVELS")
+    unit = {"units": "W/m^2/nm"} | changes
+    data = xr.Dataset(
+        {
+            "PRES": (dims, pressure, {"units": "decibar"}),
+            "LATITUDE": ("N_PROF", np.full(casts, 35.0)),
+            "DOWN_IRRADIANCE412": (dims, 2 * np.tile(ed(wavelength=412), (casts, 1)), unit),
+            "DOWN_IRRADIANCE412_QC": (dims, np.full(pressure.shape, b"3")),
+            "DOWN_IRRADIANCE412_ADJUSTED": (dims, adjusted, unit),
+            "DOWN_IRRADIANCE412_ADJUSTED_QC": (dims, flags),
+            "DOWNWELLING_PAR": (dims, pressure, {"units": "microMoleQuanta/m^2/sec"}),
+        }
+    )
+    path = folder / "BD6903247_001.nc"
+    data.to_netcdf(path, engine=engine)
+    return path
+
+
+@pytest.mark.parametrize("engine", ["h5netcdf", "scipy"])
+def test_argo_prefers_adjusted_values_and_obeys_their_flags(tmp_path, engine):
+    pytest.importorskip("gsw")
+    cast = read_cast(argo(tmp_path, engine, casts=1))
+    assert cast.counts["bad quality flag"] == 2
+    keep = np.isfinite(cast.Ed[:, 0])
+    assert keep.sum() == 58
+    np.testing.assert_allclose(cast.Ed[keep, 0], ed(wavelength=412)[keep], rtol=1e-6)
+    # 1.01 dbar per metre at the surface, less below: TEOS-10 within a centimetre.
+    np.testing.assert_allclose(cast.depth, DEPTH * 1.0034, rtol=2e-3)
+    # All flags of the second profile are bad where nothing is adjusted.
+    with pytest.raises(ValueError, match=r"BD6903247_001\.nc:1: the band at 412 nm keeps 0 of 60"):
+        read_casts(argo(tmp_path, engine))
+
+
+def test_netcdf_without_a_unit_or_cut_short_is_refused(tmp_path):
+    pytest.importorskip("gsw")
+    with pytest.raises(ValueError, match="unit of DOWN_IRRADIANCE412 is not stated"):
+        read_cast(argo(tmp_path, casts=1, units=""))
+    path = argo(tmp_path, casts=1)
+    path.write_bytes(path.read_bytes()[:4000])
+    with pytest.raises(ValueError, match="half-written or damaged"):
+        read_cast(path)
+
+
+def test_a_plain_dataset_with_a_column_map(tmp_path):
+    path = tmp_path / "cast.nc"
+    xr.Dataset(
+        {"irradiance": (("wavelength", "z"), [ed(wavelength=412), ed()], {"units": "W m-2 nm-1"})},
+        {"wavelength": [412.0, 490.0], "z": ("z", DEPTH, {"units": "m"})},
+    ).to_netcdf(path, engine="h5netcdf")
+    cast = read_cast(path, Reading(columns={"Ed": "irradiance", "depth": "z"}))
+    np.testing.assert_allclose(cast.Ed[:, 1], ed())
+    with pytest.raises(ValueError, match=r"neither BGC-Argo .* nor a variable Ed"):
+        read_cast(path)
+
+
+def csv(folder, header, names, columns):
+    path = folder / "cast.csv"
+    rows = [",".join(f"{v:.9g}" for v in row) for row in np.stack(columns, axis=1)]
+    path.write_text("\n".join([header, ",".join(names), *rows]) + "\n")
+    return path
+
+
+def test_csv_styles(tmp_path):
+    quiet = np.full(60, 2.0)
+    quiet[7] = 30.0
+    names = ["depth_m", "EdZ_tilt_deg", "Ed0_490", "EdZ_490", "LuZ_490"]
+    columns = [DEPTH, quiet, np.full(60, 130.0), 100 * ed(), ed()]
+    path = csv(tmp_path, "# a cast; irradiance in uW cm-2 nm-1", names, columns)
+    cast = read_cast(path, Reading(tilt_limit=10.0, depth_offset=0.25))
+    assert cast.counts == {"tilt above 10 degrees": 1}
+    assert cast.depth[0] == 0.75
+    keep = np.delete(np.arange(60), 7)
+    np.testing.assert_allclose(cast.Ed[:, 0], ed()[keep], rtol=1e-7)
+    assert cast.Lu is not None
+    np.testing.assert_allclose(cast.Lu[:, 0], 0.01 * ed()[keep], rtol=1e-7)
+    path = csv(tmp_path, "#", ["depth (m)", "Ed490 (uW/cm2/nm)"], [DEPTH, 100 * ed()])
+    np.testing.assert_allclose(read_cast(path).Ed[:, 0], ed(), rtol=1e-7)
+    path = csv(tmp_path, "#", ["z", "irr"], [DEPTH, ed()])
+    reading = Reading(
+        columns={"depth": "z", "Ed_490": "irr"}, units={"depth": "m", "Ed": "W/m2/nm"}
+    )
+    np.testing.assert_allclose(read_cast(path, reading).Ed[:, 0], ed(), rtol=1e-7)
+
+
+def test_little_light_is_not_taken_for_darkness():
+    # The last tenth of a cast down to e^-21 still falls: nothing is subtracted there.
+    depth = np.linspace(0.5, 52.5, 100)
+    clean = np.exp(-0.4 * depth)[:, None]
+    noise = 1 + 0.05 * np.random.default_rng(1).standard_normal(clean.shape)
+    cast = Profile(depth, [412.0], clean * noise, sigma=0.05 * clean)
+    assert cast.dark_sd[0] == 0.0
+    offset = Profile(depth, [412.0], clean + 1e-4 * (1 + 0.01 * (noise - 1)))
+    assert offset.dark[0] == pytest.approx(1e-4, rel=1e-2)
+
+
+def test_contradictory_or_absent_units_are_refused(tmp_path):
+    names, columns = ["depth_m", "Ed_490"], [DEPTH, ed()]
+    for comment in ("# Ed W m-2 nm-1, later uW cm-2 nm-1", "# a cast"):
+        with pytest.raises(ValueError, match="unit of column 'Ed_490' is not stated"):
+            read_cast(csv(tmp_path, comment, names, columns))
+    with pytest.raises(ValueError, match="unit of column 'depth' is not stated"):
+        read_cast(csv(tmp_path, "# W m-2 nm-1", ["depth", "Ed_490"], columns))
+
+
+def test_a_sheet_of_casts(tmp_path):
+    names, twice = ["cast", "depth_m", "Ed_490"], np.tile(DEPTH, 2)
+    columns = [np.repeat([1, 2], 60), twice, np.concatenate([ed(), 2 * ed()])]
+    path = csv(tmp_path, "# Ed in W/m2/nm", names, columns)
+    casts = read_casts(path)
+    assert [cast.source.split(":")[-1] for cast in casts] == ["1", "2"]
+    np.testing.assert_allclose(casts[1].Ed, 2 * casts[0].Ed, rtol=1e-8)
+    with pytest.raises(ValueError, match="holds 2 casts"):
+        read_cast(path)
+
+
+def test_up_and_downcast_mixed_and_a_million_rows(tmp_path):
+    there_and_back = np.concatenate([DEPTH, DEPTH[::-1]])
+    cast = Profile(there_and_back, [490.0], ed(there_and_back)[:, None])
+    np.testing.assert_allclose(fit_profile(cast).quantities["Kd"].value, 0.06, rtol=1e-4)
+    deep = np.linspace(0.0, 60.0, 1_000_000)
+    noise = 1 + 0.3 * np.random.default_rng(0).standard_normal(deep.shape)
+    cast = Profile(deep, [490.0], (ed(deep) * noise)[:, None])
+    assert len(cast.depth) <= 2048
+    assert cast.counts["samples merged into each median"] == 489
+    # Medians of 489: 1.8 % each, a few hundred of them.
+    np.testing.assert_allclose(fit_profile(cast).quantities["Kd"].value, 0.06, rtol=0.01)
+
+
+def test_a_turbid_cast_with_shadows_on_its_reference():
+    bands = (412, 443, 490, 555, 625)
+    path = shared("cops_iml4_20150630.csv")
+    with pytest.raises(ValueError, match=r"unit of column .* is not stated"):
+        read_cast(path)
+    cast = read_cast(path, Reading(units={"Ed": "uW cm-2 nm-1", "Lu": "uW cm-2 nm-1 sr-1"}))
+    # The arm of the shadow band takes five sixths of the light from the reference for a tenth of
+    # the cast, and nothing from the water.
+    assert cast.reference is not None
+    assert np.ptp(cast.reference[:, 8]) < 0.05
+    fit = fit_profile(cast, depth_range=(1.0, 8.0))
+    index = [cast.wavelength.tolist().index(band) for band in bands]
+    expected = np.array([1.49, 1.16, 0.77, 0.48, 0.64])
+    # Measured: 4.2 % at most.
+    assert np.max(np.abs(fit.quantities["Kd"].value[index] / expected - 1)) < 0.05
+
+
+def test_ten_floats_casts_by_the_simplest_model_that_suffices():
+    pytest.importorskip("gsw")
+    for cast in read_casts(shared("bgc_argo_6903247_casts.csv")):
+        fit = fit_profile(cast, layers=None)
+        assert 0.030 < fit.quantities["Kd"].value[2] < 0.070
+        assert min(fit.metadata["runs_test_p"]) > 0.01
+        assert len(fit.metadata["interfaces_m"]) <= 3
+        assert fit.dof is not None
+        assert np.min(fit.dof) > 3
+
+
+def test_absorption_and_attenuation_beside_the_light(tmp_path):
+    path = tmp_path / "cast.sb"
+    rows = "\n".join(f"{z:.3f},{e:.6g},0.1,0.4" for z, e in zip(DEPTH, ed(), strict=True))
+    head = (
+        "/begin_header\n/missing=-9999\n/delimiter=comma\n/fields=depth,Ed490,agp440,cgp555\n"
+        "/units=m,W/m^2/nm,{},1/m\n/end_header\n"
+    )
+    path.write_text(head.format("1/m") + rows + "\n")
+    profile = read_cast(path)
+    assert profile.beam_wavelength.tolist() == [440.0, 555.0]
+    np.testing.assert_allclose(profile.a[:, 0], 0.1)
+    np.testing.assert_allclose(profile.c[:, 1], 0.4)
+    assert np.all(np.isnan(profile.a[:, 1]))
+    path.write_text(head.format("none") + rows + "\n")
+    with pytest.raises(ValueError, match="unit of agp440 is 'none'; it must be 1/m"):
+        read_cast(path)
+    with pytest.raises(ValueError, match="need beam_wavelength"):
+        Profile(DEPTH, [490.0], ed()[:, None], a=ed()[:, None])
+    with pytest.raises(ValueError, match=r"a must have shape \(depth, beam\) = \(60, 2\)"):
+        Profile(DEPTH, [490.0], ed()[:, None], beam_wavelength=[440, 555], a=ed()[:, None])

@@ -1,0 +1,207 @@
+"""Charts in photographs: patches by four corners, orientation, clipping, the csv they become."""
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import pytest
+from matplotlib.path import Path as Outline
+
+import fitting.commands.main as cli
+import oceaninv as oi
+from fitting import Photograph, read_photograph
+from fitting.images.chart_reading import _apply, _perspective, overlay, read_chart
+from fitting.images.chart_targets import target
+from fitting.images.photo_csv import read_photo
+from fitting.observations.photo import WAVELENGTH
+from tests.fitting.images.test_photograph_file import write
+
+CORNERS = np.array([[31.0, 22.0], [151.0, 35.0], [143.0, 118.0], [22.0, 97.0]])
+FRAME = Path(__file__).parents[2] / "shared" / "photos" / "seathru_3374_red.png"
+
+
+def painted(name="ColorChecker24", clip=1.0):
+    """A picture of a chart in perspective, 0.1 + 0.7 x reflectance, and its patches' values."""
+    chart = target(name)
+    weights = np.asarray(oi.spectrum.generic_camera().weights(WAVELENGTH))
+    values = np.minimum(
+        0.1 + 0.7 * chart.reflectance @ (weights / weights.sum(axis=1)[:, None]).T, clip
+    )
+    picture = np.full((140, 180, 3), 0.02)
+    square = np.array([[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]])
+    y, x = np.mgrid[0:140, 0:180]
+    points = np.stack([x.ravel(), y.ravel()], axis=1)
+    for value, centre, size in zip(values, chart.centre, chart.size, strict=True):
+        polygon = _apply(_perspective(CORNERS), centre + square * size)
+        picture[Outline(polygon).contains_points(points).reshape(140, 180)] = value
+    rng = np.random.default_rng(0)
+    picture = picture * (1 + 0.002 * rng.standard_normal(picture.shape))
+    return Photograph(picture, picture < 1, 0.0, 0.0, {}, "painted"), values
+
+
+@pytest.mark.parametrize("name", ["ColorChecker24", "DGK18"])
+def test_patches_are_read_where_the_perspective_puts_them(name):
+    photo, values = painted(name)
+    found = read_chart(photo, CORNERS, name)
+    np.testing.assert_allclose(found.values, values, rtol=2e-3)
+    assert not found.clipped.any()
+    assert np.all(found.pixels >= 30)
+    # Standard error of the mean of pixels of 0.2 %.
+    np.testing.assert_allclose(found.sd * np.sqrt(found.pixels)[:, None], 0.002 * values, rtol=0.45)
+    chart = found.chart(2.0, noise=0.03)
+    assert len(chart.values) == (24 if name == "ColorChecker24" else 16)
+    np.testing.assert_allclose(
+        chart.sigma, np.hypot(found.sd, 0.03 * values)[found.kept], rtol=5e-3
+    )
+
+
+def test_the_perspective_takes_the_unit_square_to_its_corners():
+    unit = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
+    np.testing.assert_allclose(_apply(_perspective(CORNERS), unit), CORNERS, rtol=1e-12)
+    # Diagonals meet where the centre goes, in any perspective.
+    a, b = CORNERS[2] - CORNERS[0], CORNERS[3] - CORNERS[1]
+    along = np.linalg.solve(np.stack([a, -b], axis=1), CORNERS[1] - CORNERS[0])[0]
+    middle = _apply(_perspective(CORNERS), np.array([[0.5, 0.5]]))[0]
+    np.testing.assert_allclose(middle, CORNERS[0] + along * a, rtol=1e-12)
+
+
+@pytest.mark.parametrize("name", ["ColorChecker24", "DGK18"])
+@pytest.mark.parametrize(
+    ("order", "words"),
+    [((2, 3, 0, 1), "turned by 180"), ((1, 0, 3, 2), "left-right"), ((3, 2, 1, 0), "top-bottom")],
+)
+def test_a_chart_that_is_turned_or_mirrored_is_refused(name, order, words):
+    photo, _ = painted(name)
+    with pytest.raises(ValueError, match=words):
+        read_chart(photo, CORNERS[list(order)], name)
+
+
+@pytest.mark.parametrize(
+    ("corners", "words"),
+    [
+        (CORNERS[:3], "four points"),
+        (CORNERS + 100.0, "outside the picture of 180 x 140"),
+        (CORNERS[[0, 2, 1, 3]], "must go around the chart"),
+    ],
+)
+def test_bad_corners_are_a_sentence(corners, words):
+    with pytest.raises(ValueError, match=words):
+        read_chart(painted()[0], corners, "ColorChecker24")
+    with pytest.raises(ValueError, match=r"ColorCheker.*ColorChecker24"):
+        target("ColorCheker")
+
+
+def test_clipped_patches_are_dropped_and_counted():
+    photo, _ = painted(clip=0.5)
+    hidden = read_chart(photo, CORNERS, "ColorChecker24")
+    # Two greys, and the colours that reach as high, stop at 0.5, which no full scale gives away.
+    assert hidden.clipped[[18, 19]].all()
+    assert not hidden.clipped[[20, 21, 22, 23]].any()
+    assert f"{hidden.clipped.sum()} clipped" in hidden.sentence()
+    full = dataclasses.replace(photo, mask=photo.values < 0.49)
+    assert read_chart(full, CORNERS, "ColorChecker24").clipped[18]
+
+
+def test_a_chart_of_ones_own_is_a_csv(tmp_path):
+    path = tmp_path / "mine.csv"
+    path.write_text("# rows: 1\n# columns: 2\nwavelength,a,b\n390,0.1,0.9\n710,0.1,0.5\n")
+    mine = target(path)
+    assert mine.neutral.tolist() == [True, False]
+    np.testing.assert_allclose(mine.reflectance[1], 0.9 - 0.4 * (WAVELENGTH - 390) / 320)
+    np.testing.assert_allclose(mine.centre, [[0.25, 0.5], [0.75, 0.5]])
+    for text, words in (
+        ("wavelength,a\n390,0.1\n710,0.1\n", "how the 1 patches are laid out"),
+        ("# rows: 1\n# columns: 1\nwavelength,a\n450,0.1\n710,0.1\n", "cover 409-691 nm"),
+        ("# rows: 1\n# columns: 1\nwavelength,a\n390,1.7\n710,0.1\n", "between 0 and 1.5"),
+    ):
+        path.write_text(text)
+        with pytest.raises(ValueError, match=words):
+            target(path)
+
+
+def test_the_command_writes_what_the_fit_reads(tmp_path, capsys):
+    photo, values = painted()
+    file = write(tmp_path / "a b.png", photo.values, "uint16")
+    corners = " ".join(f"{x:g},{y:g}" for x, y in CORNERS)
+    arguments = ["read-charts", str(file), "-o", str(tmp_path / "out")]
+    chart = ["--chart", f"near ColorChecker24 2.5 {corners}"]
+    water = ["--background", "2,125 170,138 95"]
+    assert cli.run([*arguments, *chart, *water]) == 0
+    assert "near at 2.50 m: ColorChecker24: 24 of 24 patches kept" in capsys.readouterr().out
+    assert (tmp_path / "out_patches.png").stat().st_size > 10_000
+    read, clipped = read_photo(tmp_path / "out.csv", 5.0)
+    assert clipped == 0
+    np.testing.assert_allclose(read.charts[0].values, values, rtol=3e-3)
+    np.testing.assert_allclose(read.charts[0].reflectance, target("ColorChecker24").reflectance)
+    assert read.charts[0].distance == 2.5
+    assert read.backgrounds[0].zenith.tolist() == [95.0]
+    np.testing.assert_allclose(read.backgrounds[0].values, 0.02, rtol=3e-3)
+    again = ["--chart", f"far ColorChecker24 4 {corners}", "--zenith", "92", "--zenith", "97"]
+    assert cli.run([*arguments, *chart, *again]) == 0
+    read, _ = read_photo(tmp_path / "out.csv", 5.0)
+    assert [one.zenith for one in read.charts] == [92.0, 97.0]
+    for bad in (
+        [*chart, "--zenith", "80", "--zenith", "90"],
+        [*chart, "--background", "100,0 20,10"],
+        ["--chart", "near ColorChecker24 2.5 1,2 3,4"],
+        ["--chart", f"near ColorChecker24 map {corners}"],
+    ):
+        again = ["read-charts", str(file), "-o", str(tmp_path / "bad"), *bad]
+        assert cli.run(again) == 3
+        assert not (tmp_path / "bad.csv").exists()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("turn", [0, 1, 2])
+def test_a_chart_is_found_in_any_orientation(turn, tmp_path, capsys):
+    pytest.importorskip("colour_checker_detection", exc_type=ImportError)
+    from fitting.images.chart_detection import find_charts
+
+    chart = target("ColorChecker24")
+    weights = np.asarray(oi.spectrum.generic_camera().weights(WAVELENGTH))
+    values = chart.reflectance @ (weights / weights.sum(axis=1)[:, None]).T
+    picture = np.full((480, 640, 3), 0.15)
+    picture[80:380, 100:540] = 0.03  # the board, with gaps of 10 pixels between patches
+    for k, value in enumerate(values):
+        row, column = 90 + 72 * (k // 6), 110 + 71 * (k % 6)
+        picture[row : row + 62, column : column + 61] = value
+    picture = picture * np.array([0.3, 1.0, 0.9])  # water
+    picture *= 1 + 0.005 * np.random.default_rng(0).standard_normal(picture.shape)
+    picture = np.ascontiguousarray(np.rot90(picture, turn))
+    photo = Photograph(picture, picture < 1, 0.0, 0.0, {}, "painted")
+    (corners,) = find_charts(photo)
+    found = read_chart(photo, corners, "ColorChecker24")
+    np.testing.assert_allclose(found.values, values * np.array([0.3, 1.0, 0.9]), rtol=0.03)
+    with pytest.raises(ValueError, match=r"(mirrored|turned)"):
+        read_chart(photo, corners[::-1], "ColorChecker24")
+    empty = dataclasses.replace(photo, values=np.full_like(picture, 0.2))
+    with pytest.raises(ValueError, match="no ColorChecker of 24 patches"):
+        find_charts(empty)
+    file = write(tmp_path / "a.png", picture, "uint16")
+    command = ["read-charts", str(file), "-o", str(tmp_path / "out"), "--chart"]
+    assert cli.run([*command, "a ColorChecker24 2 find"]) == 0
+    assert "24 of 24 patches kept" in capsys.readouterr().out
+    assert cli.run([*command, "a DGK18 2 find"]) == 3
+    assert "only ColorChecker24 can be found" in capsys.readouterr().err
+
+
+@pytest.mark.skipif(not FRAME.exists(), reason="shared photographs are not here")
+def test_charts_of_a_real_frame(tmp_path):
+    """Four DGK charts at 4.7-9.8 m: none turned, greys of the far ones kept but for the white."""
+    photo = read_photograph(FRAME, "linear")
+    places = {
+        "A": [[387.5, 298], [424, 300], [422.5, 321], [385.5, 319.5]],
+        "B": [[471.5, 290.5], [498.5, 294], [497.5, 309.5], [470.5, 306.5]],
+        "C": [[356.5, 263.5], [379.5, 264.5], [378.5, 278.5], [355.5, 277]],
+        "D": [[418.5, 256.5], [433.5, 257], [433.5, 267.5], [419, 266.5]],
+    }
+    found = {name: read_chart(photo, corners, "DGK18") for name, corners in places.items()}
+    # The near chart hides its clipping: green tops at 0.93, red at 0.5.
+    assert found["A"].clipped[:3].all()
+    assert not found["A"].clipped[[3, 4, 5]].any()
+    for name in "BCD":
+        assert not found[name].clipped[1:6].any()
+    overlay(photo, list(found.values()), tmp_path / "where.png")
+    assert (tmp_path / "where.png").stat().st_size > 20_000
+    with pytest.raises(ValueError, match="turned by 180"):
+        read_chart(photo, np.roll(places["B"], 2, axis=0), "DGK18")
