@@ -18,8 +18,8 @@ from fitting.profile.constituents.problem import (
     solve_cast,
 )
 from fitting.profile.kd.band_fit import BandFit
-from fitting.profile.kd.batching import fit_lanes
-from fitting.profile.kd.cast import Cast, Job, cast_of, light_of, padded
+from fitting.profile.kd.batching import fit_windows
+from fitting.profile.kd.cast import Cast, FitWindow, cast_of, light_of, padded_length
 from fitting.profile.kd.noise_statistics import correlation_inflation
 from fitting.profile.kd.result import _band_model, _metadata, _noise_sd, _predictive, _used, kd_fit
 from fitting.water_model.layered_water import (
@@ -99,7 +99,7 @@ def fit_profile(
         profile = profile if bands.all() else profile.of_bands(bands)
     cast = cast_of(profile, depth_range, layers)
     if tolerance is not None:
-        (bands,) = fit_lanes([cast.job])
+        (bands,) = fit_windows([cast.window])
 
         def solve(model, start, ratio=None):
             metadata = _metadata(cast, bands) | {"transport": type(model).__name__} | outside
@@ -111,15 +111,17 @@ def fit_profile(
         fit, chosen = fit_within(tolerance, transport, solve, scene, [Demand("irradiance")])
         return _corrected(fit, chosen, solve, profile)
     if transport is None:
-        return kd_fit(cast, {kind: fit_lanes([job])[0] for kind, job in cast.jobs.items()})
-    (bands,) = fit_lanes([cast.job])
+        return kd_fit(
+            cast, {kind: fit_windows([window])[0] for kind, window in cast.windows.items()}
+        )
+    (bands,) = fit_windows([cast.window])
     metadata = _metadata(cast, bands) | {"transport": type(transport).__name__} | outside
     return _constituent_fit(cast, bands, transport, priors, metadata)
 
 
-def _unknowns(job: Job, bands: BandFit, priors) -> Parameters:
-    profile, surface = job.profile, np.exp(bands.x[:, 0])
-    zenith, layers = profile.solar_zenith, job.interfaces.tolist()
+def _unknowns(window: FitWindow, bands: BandFit, priors) -> Parameters:
+    profile, surface = window.profile, np.exp(bands.x[:, 0])
+    zenith, layers = profile.solar_zenith, window.interfaces.tolist()
     parameters = Parameters(
         [
             *(layer_unknowns(layers, zenith) if layers else water_unknowns(zenith)),
@@ -138,7 +140,7 @@ def _corrected(fit: Fit, transport: AbstractTransport, solve, profile: Profile) 
         return fit
     layout, grid = fit.parameters.layout(), tuple(profile.wavelength.tolist())
     count = len(profile.depth)
-    depth = jax.device_put(np.pad(profile.depth, (0, padded(count) - count)))
+    depth = jax.device_put(np.pad(profile.depth, (0, padded_length(count) - count)))
 
     def look(x):
         cheap, true = lights(layout, grid, (transport, EXACT), jax.device_put(x), depth)
@@ -149,11 +151,11 @@ def _corrected(fit: Fit, transport: AbstractTransport, solve, profile: Profile) 
 
 
 def _constituent_fit(cast: Cast, bands, transport, priors, metadata, start=None, ratio=None) -> Fit:
-    profile, interfaces = cast.job.profile, cast.job.interfaces
-    mask = _used(cast.job, bands)
-    parameters = _unknowns(cast.job, bands, priors)
+    profile, interfaces = cast.window.profile, cast.window.interfaces
+    mask = _used(cast.window, bands)
+    parameters = _unknowns(cast.window, bands, priors)
     model = _band_model(profile, bands.x, interfaces)
-    extra = padded(len(profile.depth)) - len(profile.depth)
+    extra = padded_length(len(profile.depth)) - len(profile.depth)
 
     def pad(array, fill):
         widths = [(0, extra)] + [(0, 0)] * (array.ndim - 1)

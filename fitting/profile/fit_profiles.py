@@ -12,7 +12,7 @@ from fitting.core.result import STANDARD_NAMES, Fit, Quantity
 from fitting.observations.profile import Profile
 from fitting.profile.constituents.fit_waters import WaterFit, fit_waters, water_fit
 from fitting.profile.kd.band_fit import BandFit
-from fitting.profile.kd.batching import fit_lanes
+from fitting.profile.kd.batching import fit_windows
 from fitting.profile.kd.cast import Cast, cast_of
 from fitting.profile.kd.reflectances import cast_quantities
 from fitting.profile.kd.result import kd_fit, light_depths
@@ -97,13 +97,13 @@ class ProfileFits:
 
     def content(self) -> tuple[dict, dict, dict]:
         """Variables, coordinates and attributes of `to_xarray`."""
-        grids = [cast.job.profile.wavelength for cast in self._casts.values()]
+        grids = [cast.window.profile.wavelength for cast in self._casts.values()]
         wavelength = np.unique(np.concatenate([*grids, np.zeros(0)]))
         code = np.full((len(self), len(wavelength)), -1, np.int8)
         table = _Table(len(self), wavelength)
         for i, cast in self._casts.items():
             fits = self._fits[i]
-            at = np.searchsorted(wavelength, cast.job.profile.wavelength)
+            at = np.searchsorted(wavelength, cast.window.profile.wavelength)
             code[i, at] = fits["Ed"].code
             for name, quantity in self._quantities(i).items():
                 table.put(name, quantity, i, at)
@@ -211,8 +211,8 @@ def fit_profiles(
             casts[i] = cast_of(profile, depth_range, layers)
         except ValueError as error:
             failures[i] = f"{profile.source}: {error}"
-    keys = [(i, kind) for i, cast in casts.items() for kind in cast.jobs]
-    fitted = fit_lanes([casts[i].jobs[kind] for i, kind in keys]) if keys else []
+    keys = [(i, kind) for i, cast in casts.items() for kind in cast.windows]
+    fitted = fit_windows([casts[i].windows[kind] for i, kind in keys]) if keys else []
     fits: dict[int, dict[str, BandFit]] = {i: {} for i in casts}
     for (i, kind), fit in zip(keys, fitted, strict=True):
         fits[i][kind] = fit

@@ -26,7 +26,7 @@ from scipy.stats import norm
 
 from fitting import Profile
 from fitting.core.result import quantile
-from fitting.profile.kd.band_fit import Lanes, fit_bands
+from fitting.profile.kd.band_fit import BandBatch, fit_band_batch
 from fitting.profile.kd.cast import cast_of
 from tests.acceptance.profile_statistics import casts
 
@@ -60,8 +60,8 @@ def layers(ratio: float, count: int = 300, seed: int = 5) -> dict[str, float]:
             depth, BANDS, clean[:, None] * (1 + NOISE * noise), floor=1e-6 * np.ones(len(BANDS))
         )
         reach = (0.0, float(depth[-1]))
-        number.append(len(cast_of(profile, reach, None).job.interfaces))
-        (interface,) = cast_of(profile, reach, 2).job.interfaces
+        number.append(len(cast_of(profile, reach, None).window.interfaces))
+        (interface,) = cast_of(profile, reach, 2).window.interfaces
         found.append(abs(interface - place) <= spacing)
         sd = NOISE * change_bound(depth, place, gain)[1]
         allowed.append(1 - 2 * norm.sf(spacing / sd))
@@ -85,8 +85,8 @@ def outliers(share: float, count: int = 2000, seed: int = 6) -> dict[str, float]
     def fit(readings, used):
         used = used & (readings > 0)
         zero = jnp.zeros(count)
-        return fit_bands(
-            Lanes(
+        return fit_band_batch(
+            BandBatch(
                 jnp.asarray(np.maximum.accumulate(depth, axis=1)),
                 jnp.asarray(np.where(used, readings, 1.0)),
                 jnp.ones_like(depth),

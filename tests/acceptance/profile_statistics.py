@@ -20,7 +20,7 @@ from scipy.stats import binom
 
 from fitting.core.result import quantile
 from fitting.profile.kd import band_fit
-from fitting.profile.kd.band_fit import Lanes, fit_bands
+from fitting.profile.kd.band_fit import BandBatch, fit_band_batch
 
 CASTS = 2000
 DEPTHS = 64
@@ -75,18 +75,18 @@ def bound(log_surface, log_kd, depth, mask, floor, noise_known: bool, step: floa
 def told():
     """A fit that is told that waves are independent and as strong at all depths."""
     with mock.patch.multiple(band_fit, _ODDS_CORRELATED=1e-200, _ODDS_RISING=1e-200):
-        yield jax.jit(jax.vmap(band_fit._fit_lane))
+        yield jax.jit(jax.vmap(band_fit._fit_band))
 
 
 def statistics(
-    sigma_given: bool, count: int = CASTS, seed: int = 20, fitted=fit_bands
+    sigma_given: bool, count: int = CASTS, seed: int = 20, fitted=fit_band_batch
 ) -> dict[str, float]:
     """RMS error over the bound, mean error over it, coverage and its band, convergence."""
     log_surface, log_kd, depth, true, seen, mask, floor = casts(count, seed)
     sigma = np.sqrt((WAVES * true) ** 2 + floor[:, None] ** 2) if sigma_given else None
     used = mask & (seen > 0)
     fit = fitted(
-        Lanes(
+        BandBatch(
             jnp.asarray(np.maximum.accumulate(depth, axis=1)),
             jnp.asarray(np.where(used, seen, 1.0)),
             jnp.ones_like(depth),
@@ -162,7 +162,7 @@ def full_casts(count: int = CASTS, seed: int = 21):
     slopes = np.stack([true, -np.exp(log_kd)[:, None] * depth * true], axis=2)
     information = np.einsum("kzi,kzj->kij", slopes, np.linalg.solve(covariance, slopes))
     best = np.sqrt(np.linalg.inv(information)[:, 1, 1])
-    lanes = Lanes(
+    lanes = BandBatch(
         jnp.asarray(depth),
         jnp.asarray(np.where(mask, seen, 1.0)),
         jnp.asarray(reference),
@@ -183,7 +183,7 @@ def _both(mask):
 def full_statistics(count: int = CASTS, seed: int = 21) -> dict:
     """As `statistics`, for `full_casts`."""
     lanes, log_kd, best = full_casts(count, seed)
-    fit = fit_bands(lanes)
+    fit = fit_band_batch(lanes)
     error = np.asarray(fit.x)[:, 1] - log_kd
     return _summary(fit, error, best, np.asarray(fit.dof))
 

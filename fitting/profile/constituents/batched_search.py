@@ -282,10 +282,10 @@ def solve_waters(
     waiting = list(range(len(data)))
     while waiting:
         part, waiting = waiting[:CHUNK], waiting[CHUNK:]
-        filled = part + part[-1:] * (CHUNK - len(part)) if len(data) > 1 else part
+        whole_chunk = part + part[-1:] * (CHUNK - len(part)) if len(data) > 1 else part
 
-        def stacked(items, filled=filled):
-            return jax.tree.map(lambda *leaves: np.stack(leaves), *[items[i] for i in filled])
+        def stacked(items, whole_chunk=whole_chunk):
+            return jax.tree.map(lambda *leaves: np.stack(leaves), *[items[i] for i in whole_chunk])
 
         arrays = jax.device_put((stacked(priors), stacked(data), stacked(at)))
         with _ONE_AT_A_TIME:

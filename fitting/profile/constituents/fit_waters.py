@@ -48,7 +48,7 @@ def fit_waters(
     groups: dict[tuple, list[int]] = {}
     spectra, unknowns = {}, {}
     for i, cast in casts.items():
-        profile = cast.job.profile
+        profile = cast.window.profile
         bands = modelled_bands(profile.wavelength)
         try:
             unmodelled_notes(profile.wavelength, bands)
@@ -66,7 +66,7 @@ def fit_waters(
         part = [spectra[i] for i in members]
         waters = solve_waters([unknowns[i] for i in members], grid, transport, part, beam)
         for i, water in zip(members, waters, strict=True):
-            bands = modelled_bands(casts[i].job.profile.wavelength)
+            bands = modelled_bands(casts[i].window.profile.wavelength)
             found[i] = WaterFit(unknowns[i], spectra[i], water, type(transport).__name__, bands)
     return found, failures
 
@@ -113,8 +113,8 @@ def _fit(found: WaterFit, wavelength, predictive: Predictive, metadata: dict, do
 def water_fit(cast: Cast, bands: BandFit, found: WaterFit) -> Fit:
     """The fit of a cast's constituents as a `Fit`; observations are light less darkness, over
     the changes of the light above."""
-    profile, n = cast.job.profile, cast.job.rows
-    seen, wavelength = found.spectra, cast.job.profile.wavelength[found.bands]
+    profile, n = cast.window.profile, cast.window.rows
+    seen, wavelength = found.spectra, cast.window.profile.wavelength[found.bands]
     predictive = Predictive(
         np.where(seen.used, seen.light, np.nan)[:n],
         np.where(seen.used, found.water.model, np.nan)[:n],

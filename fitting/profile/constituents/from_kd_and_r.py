@@ -73,7 +73,7 @@ def fit_apparent(
         raise ValueError(f"station {int(np.argmin((Kd > 0).any(axis=1)))} holds no positive Kd.")
     suns = np.full(len(Kd), np.nan) if solar_zenith is None else np.asarray(solar_zenith, float)
     unknowns = [
-        Parameters(_any_sea(None if np.isnan(sun) else float(sun))).replace(priors or {})
+        Parameters(_widened_priors(None if np.isnan(sun) else float(sun))).replace(priors or {})
         for sun in suns
     ]
     sd = _KD_ERROR if Kd_sd is None else Kd_sd
@@ -97,7 +97,7 @@ def fit_apparent(
     return fits
 
 
-def _any_sea(solar_zenith: float | None) -> list[Parameter]:
+def _widened_priors(solar_zenith: float | None) -> list[Parameter]:
     """Unknowns of a water of which nothing is known, not even the kind of sea."""
     spreads = {p.name: 2.0 * p.spread for p in shape_nuisances() if p.spread}
     spreads["closure"] = _LEVEL

@@ -8,7 +8,7 @@ from fitting.core.result import Quantity
 from fitting.observations.profile import Profile
 from fitting.profile.constituents.batched_search import Spectra, nodes_and_basis
 from fitting.profile.kd.band_fit import BandFit, thickness
-from fitting.profile.kd.cast import Cast, light_of, padded
+from fitting.profile.kd.cast import Cast, light_of, padded_length
 from fitting.profile.kd.noise_statistics import correlation_inflation
 from fitting.profile.kd.reflectances import cast_quantities
 
@@ -22,22 +22,22 @@ _REFLECTANCE_ERROR = {"TwoStream": 0.1, "FourStream": 0.05}
 
 def spectra_of(cast: Cast, fits: Mapping[str, BandFit], transport) -> Spectra:
     """What a fit of constituents sees of a cast: readings of Ed, and R where Eu was measured."""
-    job, fit = cast.job, fits["Ed"]
-    profile, n = job.profile, job.rows
+    window, fit = cast.window, fits["Ed"]
+    profile, n = window.profile, window.rows
     depth = profile.depth[:n]
     reference = 1.0 if profile.reference is None else profile.reference[:n]
-    path = thickness(depth, job.interfaces)
+    path = thickness(depth, window.interfaces)
     start = np.exp(np.clip(fit.x[None, :, 0] - path @ np.exp(fit.x[:, 1:]).T, -300.0, 300.0))
     if profile.sigma is None:
         sd = np.hypot(fit.noise * start, profile.floor / reference)
     else:
         sd = profile.sigma[:n] / reference
-    used = fit.used[:, :n].T & job.mask[:n] & (np.asarray(fit.code) == 0)[None, :]
+    used = fit.used[:, :n].T & window.mask[:n] & (np.asarray(fit.code) == 0)[None, :]
     sd = sd * correlation_inflation(depth, used, np.asarray(fit.length))
     nodes, basis = nodes_and_basis(depth, float(depth.max()))
 
     def pad(array, fill):
-        widths = [(0, padded(n) - n)] + [(0, 0)] * (array.ndim - 1)
+        widths = [(0, padded_length(n) - n)] + [(0, 0)] * (array.ndim - 1)
         return np.pad(array, widths, constant_values=fill)
 
     ln_r, weight = reflected(

@@ -38,7 +38,7 @@ _RISES = ((0.0, 1.0), (2.0, 0.1), (4.0, 0.05))
 _ODDS_CORRELATED, _ODDS_RISING = 1.0, 0.2
 
 
-class Lanes(eqx.Module):
+class BandBatch(eqx.Module):
     """Bands of casts side by side, samples by depth, padded at the end.
 
     `depth` m; `Ed`; `reference`: s above; `sigma`: standard deviations of Ed, None to estimate
@@ -46,19 +46,19 @@ class Lanes(eqx.Module):
     known (0: not in question); `mask`; `interfaces`: m, ascending, between layers of constant Kd.
     """
 
-    depth: Float[Array, "*lane depth"]
-    Ed: Float[Array, "*lane depth"]
-    reference: Float[Array, "*lane depth"]
-    sigma: Float[Array, "*lane depth"] | None
-    floor: Float[Array, "*lane"]
-    dark: Float[Array, "*lane"]
-    dark_sd: Float[Array, "*lane"]
-    mask: Bool[Array, "*lane depth"]
-    interfaces: Float[Array, "*lane interface"]
+    depth: Float[Array, "*band depth"]
+    Ed: Float[Array, "*band depth"]
+    reference: Float[Array, "*band depth"]
+    sigma: Float[Array, "*band depth"] | None
+    floor: Float[Array, "*band"]
+    dark: Float[Array, "*band"]
+    dark_sd: Float[Array, "*band"]
+    mask: Bool[Array, "*band depth"]
+    interfaces: Float[Array, "*band interface"]
 
 
 class BandFit(eqx.Module):
-    """Fits of lanes: `x` = (ln Ed(0-), ln Kd of each layer), each with a leading lane axis.
+    """Fits of bands: `x` = (ln Ed(0-), ln Kd of each layer), each with a leading band axis.
 
     - `noise`: relative, without the electronics.
     - `dof`: how many independent samples the noise was estimated from, less the unknowns.
@@ -67,13 +67,13 @@ class BandFit(eqx.Module):
     - `code`: index into `fitting.core.least_squares.RESULTS`.
     """
 
-    x: Float[Array, "*lane unknown"]
-    covariance: Float[Array, "*lane unknown unknown"]
-    noise: Float[Array, "*lane"]
-    dof: Float[Array, "*lane"]
-    length: Float[Array, "*lane"]
-    used: Bool[Array, "*lane depth"]
-    code: Int[Array, "*lane"]
+    x: Float[Array, "*band unknown"]
+    covariance: Float[Array, "*band unknown unknown"]
+    noise: Float[Array, "*band"]
+    dof: Float[Array, "*band"]
+    length: Float[Array, "*band"]
+    used: Bool[Array, "*band depth"]
+    code: Int[Array, "*band"]
 
 
 def thickness(depth, interfaces):
@@ -89,16 +89,16 @@ def thickness(depth, interfaces):
 
 
 @kept
-def fit_bands(lanes: Lanes) -> BandFit:
-    """Maximum likelihood for every lane by itself; one compiled program for a padded batch.
+def fit_band_batch(batch: BandBatch) -> BandFit:
+    """Maximum likelihood for every band by itself; one compiled program for a padded batch.
 
     The standard deviation is evaluated at the model, not at the noisy datum (which would favour
     low readings).  A robust start (least absolute deviations of ln Ed), then Gauss-Newton with
-    outliers left out, in a fixed number of rounds: no lane waits for another.  Where the noise is
-    estimated, the answer is the mean over candidates for the waves' rise and correlation, weighted
-    by their restricted likelihood, and its covariance holds their disagreement.
+    outliers left out, in a fixed number of rounds, so that no band waits for another.  Where the
+    noise is estimated, the answer is the mean over candidates for the waves' rise and correlation,
+    weighted by their restricted likelihood, and its covariance holds their disagreement.
     """
-    return jax.vmap(_fit_lane)(lanes)
+    return jax.vmap(_fit_band)(batch)
 
 
 def _signal(x, path, reference):
@@ -115,7 +115,7 @@ def band_residual(x, args):
 
 
 def _inverse(matrix):
-    """Inverse and ln det of a small positive matrix by Gauss-Jordan, unrolled: no call per lane."""
+    """Inverse and ln det of a small positive matrix by Gauss-Jordan, unrolled: no call per band."""
     n = matrix.shape[-1]
     scale = jnp.sqrt(jnp.maximum(jnp.diagonal(matrix), 1e-150))
     identity = jnp.eye(n, dtype=matrix.dtype)
@@ -158,32 +158,32 @@ def _median(values, mask):
     return 0.5 * (ordered[(count - 1) // 2] + ordered[count // 2])
 
 
-def _fit_lane(lane: Lanes):
-    path = thickness(lane.depth, lane.interfaces)
+def _fit_band(band: BandBatch):
+    path = thickness(band.depth, band.interfaces)
     unknowns = path.shape[1] + 1
-    given = lane.sigma is not None
-    mask, count = lane.mask, jnp.sum(lane.mask).astype(lane.Ed.dtype)
-    lit = jnp.where(mask, (lane.Ed - lane.dark) / lane.reference, 1.0)
-    positive = jnp.maximum(lit, 1e-3 * jnp.maximum(lane.floor, 1e-300))
-    expected = (RELATIVE_NOISE * positive) ** 2 + lane.floor**2
-    if lane.sigma is not None:
-        # The errors are given for Ed; `lit` is relative to the light above.
-        expected = (jnp.where(mask, lane.sigma, 1.0) / lane.reference) ** 2
+    given = band.sigma is not None
+    mask, count = band.mask, jnp.sum(band.mask).astype(band.Ed.dtype)
+    light = jnp.where(mask, (band.Ed - band.dark) / band.reference, 1.0)
+    positive = jnp.maximum(light, 1e-3 * jnp.maximum(band.floor, 1e-300))
+    expected = (RELATIVE_NOISE * positive) ** 2 + band.floor**2
+    if band.sigma is not None:
+        # The errors are given for Ed; `light` is relative to the light above.
+        expected = (jnp.where(mask, band.sigma, 1.0) / band.reference) ** 2
     relative = positive**2 / expected
-    x = _start(path, jnp.log(positive), jnp.where(mask & (lit > 0), relative, 0.0))
+    x = _start(path, jnp.log(positive), jnp.where(mask & (light > 0), relative, 0.0))
 
     def spread(signal, noise, rise=1.0):
-        if lane.sigma is not None:
-            return jnp.where(mask, lane.sigma, 1.0)
-        return jnp.sqrt((noise * rise * signal) ** 2 + lane.floor**2)
+        if band.sigma is not None:
+            return jnp.where(mask, band.sigma, 1.0)
+        return jnp.sqrt((noise * rise * signal) ** 2 + band.floor**2)
 
     def linear(state):
         """Signal and its slopes, and the misfit, at (x, dark in its standard deviations)."""
-        signal = _signal(state[:-1], path, lane.reference)
+        signal = _signal(state[:-1], path, band.reference)
         Kd = jnp.exp(jnp.clip(state[1:-1], _LEAST_LN_KD, _LARGEST_LN_KD))
-        dark = jnp.broadcast_to(lane.dark_sd, signal.shape)
+        dark = jnp.broadcast_to(band.dark_sd, signal.shape)
         slopes = jnp.concatenate([jnp.ones_like(dark)[:, None], -path * Kd[None, :]], axis=1)
-        misfit = lane.Ed - signal - lane.dark - state[-1] * lane.dark_sd
+        misfit = band.Ed - signal - band.dark - state[-1] * band.dark_sd
         return signal, jnp.concatenate([slopes * signal[:, None], dark[:, None]], axis=1), misfit
 
     state = jnp.concatenate([x, jnp.zeros_like(x[:1])])
@@ -205,7 +205,7 @@ def _fit_lane(lane: Lanes):
         state, noise, used = carry
         signal, jacobian, misfit = linear(state)
         sd = spread(signal, noise)
-        # In the last rounds the choice stands, lest a sample at the limit come and go for ever.
+        # Freeze the outlier mask in the last rounds: a borderline sample would oscillate.
         now = mask & (jnp.abs(misfit) < CUT * scale * sd)
         used = now if given else jnp.where(step < rounds - _SETTLED, now, used)
         weight = jnp.where(used, 1.0 / sd**2, 0.0)
@@ -236,7 +236,7 @@ def _fit_lane(lane: Lanes):
             state, used = carry
             signal, jacobian, misfit = linear(state)
             sd_of = functools.partial(spread, signal)
-            found = _averaged(lane, state, jacobian, misfit, noise, used, sd_of)
+            found = _averaged(band, state, jacobian, misfit, noise, used, sd_of)
             # Strong waves near the surface are no outliers once they are seen to be usual there.
             used = mask & (jnp.abs(misfit) < CUT * found[-1])
             return (state + found[0], used), (*found[1:-1], used)
@@ -254,16 +254,16 @@ def _fit_lane(lane: Lanes):
     )
 
 
-def _averaged(lane, state, jacobian, misfit, noise, used, spread):
+def _averaged(band, state, jacobian, misfit, noise, used, spread):
     """Mean over the candidates for the waves, each by generalised least squares.
 
     Returns the step from `state`, its covariance, relative noise, degrees of freedom, mean length,
     and the standard deviations of the likeliest candidate.
     """
     before, first = previous_used(used)
-    gap = lane.depth - lane.depth[before]
-    top = jnp.min(jnp.where(used, lane.depth, jnp.inf))
-    reach = jnp.max(jnp.where(used, lane.depth, -jnp.inf)) - top
+    gap = band.depth - band.depth[before]
+    top = jnp.min(jnp.where(used, band.depth, jnp.inf))
+    reach = jnp.max(jnp.where(used, band.depth, -jnp.inf)) - top
     spacing = _median(gap, used & ~first & (gap > 0))
     spacing = jnp.where(jnp.isfinite(spacing), spacing, reach)
     n = jnp.sum(used).astype(misfit.dtype)
@@ -271,7 +271,7 @@ def _averaged(lane, state, jacobian, misfit, noise, used, spread):
     freedom = jnp.maximum(n - (p - 1), 1.0)
 
     def candidate(steps, gain, share):
-        rise = 1.0 + gain * jnp.exp(-(lane.depth - top) / (share * jnp.maximum(reach, 1e-6)))
+        rise = 1.0 + gain * jnp.exp(-(band.depth - top) / (share * jnp.maximum(reach, 1e-6)))
         even = jnp.sqrt(jnp.sum(jnp.where(used, rise**2, 0.0)) / n)
         sd = spread(noise, rise / even)
         length = steps * spacing

@@ -1,22 +1,22 @@
-"""Casts to lanes and back: windows, padding to shared shapes, chunks of one size."""
+"""Batches of bands: windows of casts padded to shared shapes, in chunks of one size."""
 
 from collections.abc import Sequence
 
 import jax
 import numpy as np
 
-from fitting.profile.kd.band_fit import BandFit, Lanes, fit_bands
-from fitting.profile.kd.cast import Job
+from fitting.profile.kd.band_fit import BandBatch, BandFit, fit_band_batch
+from fitting.profile.kd.cast import FitWindow
 
-# Lanes of one compiled call for many casts of up to 128 depths; of longer ones fewer.
+# BandBatch of one compiled call for many casts of up to 128 depths; of longer ones fewer.
 MOST = 1024
 
 
-def lanes_of(jobs: Sequence[Job], lanes: int | None = None) -> Lanes:
-    """Lanes of casts that share a shape, one per band; `lanes`: padded to so many."""
-    size, given, interfaces = jobs[0].shape
-    count = sum(len(job.profile.wavelength) for job in jobs)
-    total = lanes or count
+def band_batch(windows: Sequence[FitWindow], size_of_batch: int | None = None) -> BandBatch:
+    """The bands of casts that share a shape; `size_of_batch`: padded to so many."""
+    size, given, interfaces = windows[0].shape
+    count = sum(len(window.profile.wavelength) for window in windows)
+    total = size_of_batch or count
 
     def blank(fill, dtype: type = float, *shape: int):
         return np.full((total, *shape), fill, dtype)
@@ -26,10 +26,10 @@ def lanes_of(jobs: Sequence[Job], lanes: int | None = None) -> Lanes:
     mask, edges = blank(False, bool, size), blank(1.0, float, interfaces)
     floor, dark, dark_sd = blank(0.0), blank(0.0), blank(0.0)
     at = 0
-    for job in jobs:
-        profile, n = job.profile, job.rows
+    for window in windows:
+        profile, n = window.profile, window.rows
         to = slice(at, at + len(profile.wavelength))
-        used = job.mask[:n].T
+        used = window.mask[:n].T
         # The last depth goes on through the padding, so that depths ascend.
         depth[to] = profile.depth[n - 1]
         depth[to, :n] = profile.depth[:n]
@@ -40,34 +40,34 @@ def lanes_of(jobs: Sequence[Job], lanes: int | None = None) -> Lanes:
         if sigma is not None and profile.sigma is not None:
             sigma[to, :n] = np.where(used, profile.sigma[:n].T, 1.0)
         floor[to], dark[to], dark_sd[to] = profile.floor, profile.dark, profile.dark_sd
-        edges[to] = job.interfaces
+        edges[to] = window.interfaces
         at = to.stop
     if at < total:
-        # Idle lanes of a chunk hold a plain exponential.
+        # Unused places of a chunk hold a plain exponential.
         depth[at:] = np.linspace(0.0, 1.0, size)
         Ed[at:], mask[at:] = np.exp(-depth[at:]), True
         edges[at:] = np.linspace(0.3, 0.7, interfaces)
     arrays = (depth, Ed, reference, sigma, floor, dark, dark_sd, mask, edges)
     # device_put, unlike jnp.asarray, compiles nothing.
-    return Lanes(*jax.device_put(arrays))
+    return BandBatch(*jax.device_put(arrays))
 
 
-def fit_lanes(jobs: Sequence[Job]) -> list[BandFit]:
+def fit_windows(windows: Sequence[FitWindow]) -> list[BandFit]:
     """Fits of casts, each with a leading band axis; many go in chunks of one size.
 
-    The result of a cast does not depend on the others: a chunk is many independent lanes, and
+    The result of a cast does not depend on the others: a chunk is many independent bands, and
     which program runs depends on the cast's own shape.
     """
-    if len(jobs) == 1:
-        return [_numpy(fit_bands(lanes_of(jobs)))]
-    shapes = [job.shape for job in jobs]
-    bands = [len(job.profile.wavelength) for job in jobs]
+    if len(windows) == 1:
+        return [_numpy(fit_band_batch(band_batch(windows)))]
+    shapes = [window.shape for window in windows]
+    bands = [len(window.profile.wavelength) for window in windows]
     fits: dict[int, BandFit] = {}
 
     def run(group: list[int]) -> None:
         chunk = _chunk(shapes[group[0]][0])
         total = chunk * -(-sum(bands[i] for i in group) // chunk)
-        done = _numpy(fit_bands(_spread(lanes_of([jobs[i] for i in group], total))))
+        done = _numpy(fit_band_batch(_spread(band_batch([windows[i] for i in group], total))))
         at = 0
         for i in group:
             to = slice(at, at + bands[i])
@@ -75,20 +75,20 @@ def fit_lanes(jobs: Sequence[Job]) -> list[BandFit]:
             at = to.stop
 
     group: list[int] = []
-    filled_lanes = 0
-    for i in sorted(range(len(jobs)), key=lambda i: shapes[i]):
-        full = filled_lanes + bands[i] > _chunk(shapes[i][0])
+    bands_so_far = 0
+    for i in sorted(range(len(windows)), key=lambda i: shapes[i]):
+        full = bands_so_far + bands[i] > _chunk(shapes[i][0])
         if group and (shapes[i] != shapes[group[0]] or full):
             run(group)
-            group, filled_lanes = [], 0
+            group, bands_so_far = [], 0
         group.append(i)
-        filled_lanes += bands[i]
+        bands_so_far += bands[i]
     run(group)
-    return [fits[i] for i in range(len(jobs))]
+    return [fits[i] for i in range(len(windows))]
 
 
 def _chunk(rows: int) -> int:
-    """Lanes that are fitted together: memory grows with their depths."""
+    """Bands that are fitted together: memory grows with their depths."""
     return max(MOST * 128 // max(rows, 128), 16)
 
 
@@ -96,10 +96,10 @@ def _numpy(fit: BandFit) -> BandFit:
     return jax.tree.map(np.asarray, fit)
 
 
-def _spread(lanes: Lanes) -> Lanes:
-    """Lanes shared out over the local devices, where there are several."""
+def _spread(batch: BandBatch) -> BandBatch:
+    """Bands shared out over the local devices, where there are several."""
     devices = jax.local_devices()
-    if len(devices) == 1 or len(lanes.dark) % len(devices):
-        return lanes
-    mesh = jax.sharding.Mesh(np.array(devices), ("lane",))
-    return jax.device_put(lanes, jax.NamedSharding(mesh, jax.sharding.PartitionSpec("lane")))
+    if len(devices) == 1 or len(batch.dark) % len(devices):
+        return batch
+    mesh = jax.sharding.Mesh(np.array(devices), ("band",))
+    return jax.device_put(batch, jax.NamedSharding(mesh, jax.sharding.PartitionSpec("band")))

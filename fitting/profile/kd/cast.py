@@ -9,7 +9,7 @@ import numpy as np
 from fitting.observations.profile import Profile
 from fitting.observations.profile_sensor import MIN_DEPTHS
 from fitting.profile.kd.layer_selection import choose_interfaces
-from fitting.profile.kd.noise_statistics import filled, ninther
+from fitting.profile.kd.noise_statistics import forward_fill, running_median
 
 
 def light_of(profile: Profile) -> np.ndarray:
@@ -25,14 +25,14 @@ def light_level_mask(profile: Profile, level: float = 0.1) -> np.ndarray:
     move.  A band that never falls so far, or does so within 5 samples, is used as it is.
     """
     mask = profile.mask
-    smooth = filled(np.where(mask, light_of(profile), 0.0), mask)
-    smooth = ninther(smooth) if len(smooth) >= 5 else smooth
+    smooth = forward_fill(np.where(mask, light_of(profile), 0.0), mask)
+    smooth = running_median(smooth) if len(smooth) >= 5 else smooth
     top = np.max(np.where(mask, smooth, -np.inf), axis=0)
     dark = mask & (smooth < level * top) & (np.cumsum(mask, axis=0) > MIN_DEPTHS)
     return mask & ~np.logical_or.accumulate(dark, axis=0)
 
 
-def window(profile: Profile, depth_range) -> tuple[np.ndarray, str]:
+def selected_samples(profile: Profile, depth_range) -> tuple[np.ndarray, str]:
     """The samples to use, (depth, wl), and which mean Kd they make."""
     if depth_range is None:
         return light_level_mask(profile), "mean from the surface to the depth of 10 % light"
@@ -47,13 +47,13 @@ def window(profile: Profile, depth_range) -> tuple[np.ndarray, str]:
     return mask, f"mean over {low:g} to {high:g} m"
 
 
-def padded(count: int) -> int:
+def padded_length(count: int) -> int:
     """Depths are padded to a power of two, so that casts of many lengths share a program."""
     return max(32, 1 << (count - 1).bit_length())
 
 
 @dataclasses.dataclass(frozen=True)
-class Job:
+class FitWindow:
     """One cast, the samples to use and where its layers meet."""
 
     profile: Profile
@@ -63,7 +63,7 @@ class Job:
     @property
     def shape(self) -> tuple[int, bool, int]:
         """What decides which program fits it: depths, whether errors are given, interfaces."""
-        return padded(self.rows), self.profile.sigma is not None, len(self.interfaces)
+        return padded_length(self.rows), self.profile.sigma is not None, len(self.interfaces)
 
     @functools.cached_property
     def rows(self) -> int:
@@ -79,15 +79,15 @@ class Cast:
     `notes`: sentences on upward light that could not be used.
     """
 
-    jobs: Mapping[str, Job]
+    windows: Mapping[str, FitWindow]
     bands: Mapping[str, np.ndarray]
     definition: str
     notes: Mapping[str, str]
 
     @property
-    def job(self) -> Job:
+    def window(self) -> FitWindow:
         """That of Ed."""
-        return self.jobs["Ed"]
+        return self.windows["Ed"]
 
 
 def cast_of(profile: Profile, depth_range, layers: int | None) -> Cast:
@@ -97,31 +97,31 @@ def cast_of(profile: Profile, depth_range, layers: int | None) -> Cast:
     """
     if layers is not None and layers < 1:
         raise ValueError(f"layers is {layers}; give 1 or more, or None to let the data choose.")
-    job, definition = _job(profile, depth_range, layers)
-    jobs, bands = {"Ed": job}, {"Ed": np.ones(len(profile.wavelength), bool)}
+    window, definition = _window(profile, depth_range, layers)
+    windows, bands = {"Ed": window}, {"Ed": np.ones(len(profile.wavelength), bool)}
     notes = {}
     for kind in ("Eu", "Lu"):
         try:
             found = profile.upward(kind, depth_range or (0.0, np.inf))
             if found is not None:
-                jobs[kind] = _job(found[0], depth_range, layers)[0]
+                windows[kind] = _window(found[0], depth_range, layers)[0]
                 bands[kind] = found[1]
         except ValueError as error:
             notes[kind] = str(error)
-    return Cast(jobs, bands, definition, notes)
+    return Cast(windows, bands, definition, notes)
 
 
-def _job(profile: Profile, depth_range, layers) -> tuple[Job, str]:
-    mask, definition = window(profile, depth_range)
+def _window(profile: Profile, depth_range, layers) -> tuple[FitWindow, str]:
+    mask, definition = selected_samples(profile, depth_range)
     interfaces = np.zeros(0)
     if layers != 1:
         interfaces = choose_interfaces(
             profile.depth, light_of(profile), profile.floor, mask, layers
         )
-    return Job(profile, mask, interfaces), definition
+    return FitWindow(profile, mask, interfaces), definition
 
 
-def lit(job: Job) -> np.ndarray:
+def bands_with_light(window: FitWindow) -> np.ndarray:
     """(wl,) whether the window holds light that stands out of the noise in darkness."""
-    light = np.where(job.mask, light_of(job.profile), -np.inf)
-    return np.partition(light, -MIN_DEPTHS, axis=0)[-MIN_DEPTHS] > 5.0 * job.profile.floor
+    light = np.where(window.mask, light_of(window.profile), -np.inf)
+    return np.partition(light, -MIN_DEPTHS, axis=0)[-MIN_DEPTHS] > 5.0 * window.profile.floor

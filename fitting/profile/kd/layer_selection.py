@@ -6,9 +6,9 @@ from fitting.observations.profile_sensor import MIN_DEPTHS
 from fitting.profile.kd.band_fit import RELATIVE_NOISE
 from fitting.profile.kd.noise_statistics import (
     correlation_of_neighbours,
-    filled,
-    ninther,
+    forward_fill,
     previous_used,
+    running_median,
     runs_p,
     whiten,
 )
@@ -20,7 +20,6 @@ _STEPS = (0.0, 0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0)
 _THINNEST = 0.1
 _STRONG = 6.0
 _LEAST_P = 0.01
-_GOLDEN, _GOLDEN_STEPS = 0.6180339887498949, 8
 
 
 def choose_interfaces(
@@ -32,18 +31,18 @@ def choose_interfaces(
     evidence: Kass & Raftery 1995) and the residuals pass the runs test (p > 0.01).
 
     `light` (depth, wl): Ed less darkness, over the light above; `mask` (depth, wl).  All bands
-    share the interfaces.  A layer holds at least `MIN_DEPTHS` samples and a tenth of the range,
-    lest it describe a wave.  Found one by one on samples, each time all are moved to their best
-    place in turn; those chosen are then placed between samples.  Waves are correlated over depth
-    and shared by the bands: the criterion whitens the first, with the length that the residuals of
-    the most layers show, and counts the independent bands.
+    share the interfaces.  A layer holds at least `MIN_DEPTHS` samples and a tenth of the range:
+    thinner ones would describe single waves.  Greedy forward selection with coordinate-wise
+    refinement on sample depths, then one-dimensional minimisation between them.  Waves are
+    correlated over depth and shared by the bands: the criterion whitens the noise with the length
+    that the residuals of the most layers show, and counts the independent bands.
 
     **Raises** ValueError if the samples do not suffice for so many layers.
     """
     used = depth[mask.any(axis=1)]
-    cast = weighted_lines(depth, light, floor, mask)
+    cast = piecewise_linear_fit(depth, light, floor, mask)
     found = _search(cast, used, layers or _MAX_LAYERS)
-    cast.measure(found[-1])
+    cast.estimate_correlation_length(found[-1])
     if cast.length > 0:
         found = _search(cast, used, layers or _MAX_LAYERS)
     if layers is not None:
@@ -52,21 +51,21 @@ def choose_interfaces(
                 f"layers is {layers}, but {len(used)} usable depths allow {len(found)}: each "
                 f"layer needs at least {MIN_DEPTHS} and a tenth of the range."
             )
-        return _refined(cast, used, found[-1])
+        return _refine_between_samples(cast, used, found[-1])
     scores = np.array([cast.criterion(one) for one in found])
     fewest = int(np.argmax(scores <= scores.min() + _STRONG))
     for one in found[fewest:]:
         if cast.looks_random(one):
-            return _refined(cast, used, one)
-    return _refined(cast, used, found[fewest])
+            return _refine_between_samples(cast, used, one)
+    return _refine_between_samples(cast, used, found[fewest])
 
 
 def line_fit(depth, light, floor, mask, interfaces) -> tuple[np.ndarray, np.ndarray, float]:
     """Intercept and slope of ln light in each layer of one band, their covariance, and degrees of
     freedom; (depth, 1) arrays, weighted and whitened as in `choose_interfaces`."""
-    cast = weighted_lines(depth, light, floor, mask)
-    cast.measure(interfaces)
-    design, y, normal = cast.lanes(interfaces, cast.length)
+    cast = piecewise_linear_fit(depth, light, floor, mask)
+    cast.estimate_correlation_length(interfaces)
+    design, y, normal = cast.normal_equations(interfaces, cast.length)
     inverse = np.linalg.inv(normal[0])
     beta = inverse @ (design[0].T @ y[0])[:, 0]
     left = y[0][:, 0] - design[0] @ beta
@@ -74,20 +73,20 @@ def line_fit(depth, light, floor, mask, interfaces) -> tuple[np.ndarray, np.ndar
     return beta, inverse * (left @ left) / dof, dof
 
 
-def weighted_lines(depth, light, floor, mask) -> "_Lines":
+def piecewise_linear_fit(depth, light, floor, mask) -> "PiecewiseLinearFit":
     safe = np.where(mask & (light > 0), light, 1.0)
     weight = np.where(mask & (light > 0), safe**2, 0.0)
     weight = weight / (safe**2 + (floor / RELATIVE_NOISE) ** 2)
     weight = np.where(_outliers(np.log(safe), weight > 0), 0.0, weight)
-    return _Lines(depth, np.log(safe), weight)
+    return PiecewiseLinearFit(depth, np.log(safe), weight)
 
 
-def _search(cast: "_Lines", used: np.ndarray, most: int) -> list[list[float]]:
+def _search(cast: "PiecewiseLinearFit", used: np.ndarray, most: int) -> list[list[float]]:
     """The best interfaces for 1, 2 ... layers, as far as there is room."""
     places = _places(used)
     found: list[list[float]] = [[]]
     while len(found) < most:
-        better = _added(cast, used, found[-1], places)
+        better = _forward_selection(cast, used, found[-1], places)
         if not better:
             break
         found.append(better)
@@ -101,56 +100,52 @@ def _places(used: np.ndarray) -> np.ndarray:
     return places
 
 
-def _refined(cast: "_Lines", used: np.ndarray, interfaces: list[float]) -> np.ndarray:
+def _refine_between_samples(
+    cast: "PiecewiseLinearFit", used: np.ndarray, interfaces: list[float]
+) -> np.ndarray:
     """Each interface moved, between the candidates beside it, to where the misfit is least."""
     places, best = _places(used), list(interfaces)
     for i in [*range(len(best))] * (2 if len(best) > 1 else 1):
         at = int(np.argmin(np.abs(places - best[i])))
         low, high = places[max(at - 1, 0)], places[min(at + 1, len(places) - 1)]
-        place = _golden(_with(cast, best, i), low, high)
+        place = _least(_with(cast, best, i), low, high)
         moved = [*best[:i], place, *best[i + 1 :]]
-        if _roomy(used, moved) and cast.misfit(moved) <= cast.misfit(best):
+        if _layers_thick_enough(used, moved) and cast.misfit(moved) <= cast.misfit(best):
             best = moved
     return np.array(best)
 
 
-def _with(cast: "_Lines", interfaces: list[float], i: int):
+def _with(cast: "PiecewiseLinearFit", interfaces: list[float], i: int):
     return lambda place: cast.misfit([*interfaces[:i], place, *interfaces[i + 1 :]])
 
 
-def _golden(function, low: float, high: float) -> float:
-    """Where a function is least, by golden section."""
-    inner = [high - _GOLDEN * (high - low), low + _GOLDEN * (high - low)]
-    scores = [function(place) for place in inner]
-    for _ in range(_GOLDEN_STEPS):
-        if scores[0] < scores[1]:
-            high, inner[1], scores[1] = inner[1], inner[0], scores[0]
-            inner[0] = high - _GOLDEN * (high - low)
-            scores[0] = function(inner[0])
-        else:
-            low, inner[0], scores[0] = inner[0], inner[1], scores[1]
-            inner[1] = low + _GOLDEN * (high - low)
-            scores[1] = function(inner[1])
-    return 0.5 * (low + high)
+def _least(function, low: float, high: float) -> float:
+    """Where a function is least between two places, to a fiftieth of their distance (Brent)."""
+    from scipy.optimize import minimize_scalar
+
+    accuracy = {"xatol": 0.02 * (high - low)}
+    return float(
+        minimize_scalar(function, bounds=(low, high), method="bounded", options=accuracy).x
+    )
 
 
 def _outliers(log_light: np.ndarray, mask: np.ndarray) -> np.ndarray:
     if len(log_light) < 9:
         return np.zeros_like(mask)
-    flat = filled(log_light, mask)
-    apart = np.where(mask, np.abs(flat - ninther(flat)), np.nan)
+    flat = forward_fill(log_light, mask)
+    apart = np.where(mask, np.abs(flat - running_median(flat)), np.nan)
     # Half of the samples are their own neighbourhood's median: the scale comes from the rest.
     apart = np.where(apart == 0, np.nan, apart)
     scale = [1.4826 * np.nanmedian(a) if np.isfinite(a).any() else np.inf for a in apart.T]
     return np.nan_to_num(apart) > _OUTLIER * np.array(scale)
 
 
-def _added(cast: "_Lines", used, interfaces, places) -> list[float]:
+def _forward_selection(cast: "PiecewiseLinearFit", used, interfaces, places) -> list[float]:
     """The best interfaces with one more; [] where there is no room."""
 
     def best_place(others) -> tuple[float, list[float]]:
         tried = [sorted([*others, float(place)]) for place in places]
-        tried = [one for one in tried if _roomy(used, one)]
+        tried = [one for one in tried if _layers_thick_enough(used, one)]
         scores = [cast.misfit(one) for one in tried]
         return min(zip(scores, tried, strict=True), default=(np.inf, []))
 
@@ -161,14 +156,14 @@ def _added(cast: "_Lines", used, interfaces, places) -> list[float]:
     return found[1]
 
 
-def _roomy(used, interfaces) -> bool:
+def _layers_thick_enough(used, interfaces) -> bool:
     edges = [used[0], *interfaces, used[-1]]
     counts = np.histogram(used, [-np.inf, *interfaces, np.inf])[0]
     thick = np.min(np.diff(edges)) >= _THINNEST * (used[-1] - used[0])
     return bool(np.all(counts >= MIN_DEPTHS)) and bool(thick)
 
 
-class _Lines:
+class PiecewiseLinearFit:
     """Continuous straight lines through ln Ed of all bands, bent at shared interfaces.
 
     `length`: m over which the noise is correlated, found by `measure`.
@@ -186,11 +181,11 @@ class _Lines:
         rho = correlation_of_neighbours(self.gap, np.asarray(length))
         return np.where(self.first | ~self.used, 0.0, rho)
 
-    def white(self, columns, length):
+    def whiten(self, columns, length):
         """`columns` (depth, wl, ...) with the part that the sample before tells removed."""
         return whiten(columns, self.before, self._rho(length))
 
-    def lanes(self, interfaces, length):
+    def normal_equations(self, interfaces, length):
         """Whitened design (wl, depth, unknown) and data (wl, depth, 1), and normal matrices."""
         edges = np.array([0.0, *interfaces, np.inf])
         path = np.clip(self.depth[:, None] - edges[None, :-1], 0.0, np.diff(edges)[None, :])
@@ -200,9 +195,9 @@ class _Lines:
             [columns[:, None, :] * root[:, :, None], (root * self.log_light)[:, :, None]], axis=2
         )
         if length > 0:
-            all_columns = np.where(self.used[:, :, None], self.white(all_columns, length), 0.0)
-        lanes = all_columns.transpose(1, 0, 2)
-        design, y = lanes[:, :, :-1], lanes[:, :, -1:]
+            all_columns = np.where(self.used[:, :, None], self.whiten(all_columns, length), 0.0)
+        by_band = all_columns.transpose(1, 0, 2)
+        design, y = by_band[:, :, :-1], by_band[:, :, -1:]
         turned = design.transpose(0, 2, 1)
         normal, size = turned @ design, len(edges)
         ridge = 1e-12 * np.trace(normal, axis1=1, axis2=2)[:, None, None] * np.eye(size)
@@ -210,7 +205,7 @@ class _Lines:
 
     def _solved(self, interfaces, length):
         """Whitened residual (depth, wl) and ln det of each band's normal matrix."""
-        design, y, normal = self.lanes(interfaces, length)
+        design, y, normal = self.normal_equations(interfaces, length)
         left = y - design @ np.linalg.solve(normal, design.transpose(0, 2, 1) @ y)
         return left[:, :, 0].T, np.linalg.slogdet(normal)[1]
 
@@ -220,7 +215,7 @@ class _Lines:
         square = (left**2).sum(axis=0) / self.count
         return float(np.sum(self.count * np.log(np.maximum(square, 1e-12))))
 
-    def measure(self, interfaces) -> None:
+    def estimate_correlation_length(self, interfaces) -> None:
         """Find the length by restricted likelihood, then the number of independent bands."""
         spacing = np.median(self.gap[self.used & ~self.first & (self.gap > 0)])
         reach = self.depth[self.used.any(axis=1)]

@@ -13,11 +13,12 @@ from fitting.observations.profile_sensor import MIN_DEPTHS
 MOST_CORRELATED = 0.98
 
 
-def ninther(values: np.ndarray) -> np.ndarray:
-    """Running median of medians of three (Tukey), over nine samples along axis 0.
+def running_median(values: np.ndarray) -> np.ndarray:
+    """Running median of medians of three (Tukey's ninther), over nine samples along axis 0.
 
     Up to one bright or dark sample in each three leaves no trace; unlike means it does not bend
-    a monotonic curve.
+    a monotonic curve.  `scipy.ndimage.median_filter` takes four times as long and 0.12 s to
+    import, a tenth of a warm fit.
     """
     padded = np.pad(values, [(4, 4), *[(0, 0)] * (values.ndim - 1)], mode="reflect")
 
@@ -28,7 +29,7 @@ def ninther(values: np.ndarray) -> np.ndarray:
     return middle(threes[:-6], threes[3:-3], threes[6:])
 
 
-def filled(values: np.ndarray, mask: np.ndarray) -> np.ndarray:
+def forward_fill(values: np.ndarray, mask: np.ndarray) -> np.ndarray:
     """Masked values replaced by the valid one before (or, at the start, after) along axis 0."""
     rows = np.arange(len(values))[:, None]
     before = np.maximum.accumulate(np.where(mask, rows, -1), axis=0)

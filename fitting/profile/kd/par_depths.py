@@ -11,9 +11,9 @@ from fitting.core.result import Quantity
 from fitting.observations.profile import Profile
 from fitting.observations.profile_sensor import MIN_DEPTHS, noise_floor
 from fitting.profile.kd.band_fit import BandFit, thickness
-from fitting.profile.kd.cast import Job
+from fitting.profile.kd.cast import FitWindow
 from fitting.profile.kd.layer_selection import choose_interfaces, line_fit
-from fitting.profile.kd.noise_statistics import filled, ninther
+from fitting.profile.kd.noise_statistics import forward_fill, running_median
 
 # Photons of 1 nm that carry one joule, umol: wavelength/(h c N_A).
 _PHOTONS = 1e-3 / 0.119626566
@@ -67,16 +67,16 @@ def photon_weights(wavelength: np.ndarray) -> np.ndarray | None:
     return np.array(hats) @ photons
 
 
-def light_of_bands(job: Job, bands: BandFit, lit: np.ndarray) -> Light | None:
+def light_of_bands(window: FitWindow, bands: BandFit, bright: np.ndarray) -> Light | None:
     """PAR from the fits of the bands that hold light."""
-    good = lit & (bands.code == 0)
-    weight = photon_weights(job.profile.wavelength[good]) if good.any() else None
+    good = bright & (bands.code == 0)
+    weight = photon_weights(window.profile.wavelength[good]) if good.any() else None
     if weight is None:
         return None
-    dof = None if job.profile.sigma is not None else float(np.min(bands.dof[good]))
-    deepest = float(job.profile.depth[job.mask[:, good].any(axis=1)].max())
+    dof = None if window.profile.sigma is not None else float(np.min(bands.dof[good]))
+    deepest = float(window.profile.depth[window.mask[:, good].any(axis=1)].max())
     x, covariance = np.asarray(bands.x)[good], np.asarray(bands.covariance)[good]
-    return Light(weight, x, covariance, dof, job.interfaces, deepest)
+    return Light(weight, x, covariance, dof, window.interfaces, deepest)
 
 
 def light_of_sensor(profile: Profile) -> Light | None:
@@ -87,7 +87,7 @@ def light_of_sensor(profile: Profile) -> Light | None:
     mask = np.isfinite(value) & (value > 0) & (depth >= 0)[:, None]
     if mask.sum() < 2 * MIN_DEPTHS:
         return None
-    smooth = ninther(filled(np.where(mask, value, 0.0), mask))
+    smooth = running_median(forward_fill(np.where(mask, value, 0.0), mask))
     dark = mask & (smooth < _DARKEST * smooth[mask].max())
     mask &= ~np.logical_or.accumulate(dark, axis=0)
     if mask.sum() < 2 * MIN_DEPTHS:

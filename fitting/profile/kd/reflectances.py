@@ -8,7 +8,7 @@ from fitting.core.result import Quantity
 from fitting.observations.profile import Profile
 from fitting.observations.profile_sensor import MIN_DEPTHS
 from fitting.profile.kd.band_fit import BandFit, thickness
-from fitting.profile.kd.cast import Cast, Job, lit
+from fitting.profile.kd.cast import Cast, FitWindow, bands_with_light
 
 _INDEX = 1.34
 # Sky light as a share of the light above, its reflectance, and that of upward light from below;
@@ -20,14 +20,14 @@ _HALF_BAND = 5.0
 
 def upward_notes(cast: Cast) -> dict:
     """Metadata on upward light; none without."""
-    profile, notes = cast.job.profile, {}
-    for kind, job in cast.jobs.items():
+    profile, notes = cast.window.profile, {}
+    for kind, window in cast.windows.items():
         if kind != "Ed":
-            notes[f"{kind}_interfaces_m"] = job.interfaces.tolist()
+            notes[f"{kind}_interfaces_m"] = window.interfaces.tolist()
             notes[f"{kind}_deepest_used_m"] = [
-                float(job.profile.depth[m].max()) for m in job.mask.T
+                float(window.profile.depth[m].max()) for m in window.mask.T
             ]
-    if len(cast.jobs) > 1:
+    if len(cast.windows) > 1:
         notes["upward_sensors_below_m"] = profile.upward_below
         notes["light_above"] = (
             "from Ed(0-) through a flat surface" if profile.Es is None else "measured"
@@ -35,29 +35,29 @@ def upward_notes(cast: Cast) -> dict:
     return notes | {f"{kind}_left_out": sentence for kind, sentence in cast.notes.items()}
 
 
-def mean_attenuation(job: Job, fit: BandFit, text: str) -> Quantity:
+def mean_attenuation(window: FitWindow, fit: BandFit, text: str) -> Quantity:
     """K from the shallowest to the deepest sample used, the mean over layers by thickness."""
     x, cov = np.asarray(fit.x), np.asarray(fit.covariance)
     kd = np.exp(x[:, 1:])
     if kd.shape[1] == 1:
         mean, share = kd[:, 0], np.ones_like(kd)
     else:
-        path = thickness(job.profile.depth, job.interfaces)
-        reach = np.array([path[m][-1] - path[m][0] for m in job.mask.T])
+        path = thickness(window.profile.depth, window.interfaces)
+        reach = np.array([path[m][-1] - path[m][0] for m in window.mask.T])
         parts = reach * kd
         mean = parts.sum(axis=1) / reach.sum(axis=1)
         share = parts / parts.sum(axis=1, keepdims=True)
     variance = np.einsum("wi,wij,wj->w", share, cov[:, 1:, 1:], share)
-    return Quantity(mean, np.sqrt(variance), "m-1", text, dof=_dof(job, fit))
+    return Quantity(mean, np.sqrt(variance), "m-1", text, dof=_dof(window, fit))
 
 
-def _dof(job: Job, fit: BandFit) -> np.ndarray | None:
-    return None if job.profile.sigma is not None else np.asarray(fit.dof)
+def _dof(window: FitWindow, fit: BandFit) -> np.ndarray | None:
+    return None if window.profile.sigma is not None else np.asarray(fit.dof)
 
 
-def _surface(job: Job, fit: BandFit, unit: str, text: str) -> Quantity:
+def _surface(window: FitWindow, fit: BandFit, unit: str, text: str) -> Quantity:
     sd = np.sqrt(np.asarray(fit.covariance)[:, 0, 0])
-    return Quantity(np.exp(np.asarray(fit.x)[:, 0]), sd, unit, text, dof=_dof(job, fit))
+    return Quantity(np.exp(np.asarray(fit.x)[:, 0]), sd, unit, text, dof=_dof(window, fit))
 
 
 def cast_quantities(cast: Cast, fits: Mapping[str, BandFit]) -> dict[str, Quantity]:
@@ -67,24 +67,24 @@ def cast_quantities(cast: Cast, fits: Mapping[str, BandFit]) -> dict[str, Quanti
     without that, from Ed(0-) through a flat surface (2 % more error); nLw = Rrs F0.  The errors
     of Ed and of upward light count as independent, calibrations as exact.
     """
-    profile = cast.job.profile
+    profile = cast.window.profile
     found = {
-        "Kd": mean_attenuation(cast.job, fits["Ed"], "diffuse attenuation coefficient"),
+        "Kd": mean_attenuation(cast.window, fits["Ed"], "diffuse attenuation coefficient"),
         "Ed_0": _surface(
-            cast.job, fits["Ed"], "W m-2 nm-1", "downward irradiance just below the surface"
+            cast.window, fits["Ed"], "W m-2 nm-1", "downward irradiance just below the surface"
         ),
     }
     units = {"Eu": ("Ku", "W m-2 nm-1", "upward irradiance"),
              "Lu": ("KLu", "W m-2 nm-1 sr-1", "upward radiance")}  # fmt: skip
     for kind, (name, unit, words) in units.items():
-        if kind in cast.jobs:
-            job, fit, to = cast.jobs[kind], fits[kind], cast.bands[kind]
+        if kind in cast.windows:
+            window, fit, to = cast.windows[kind], fits[kind], cast.bands[kind]
             enough = np.asarray(fit.used).sum(axis=1) >= MIN_DEPTHS
-            good = lit(job) & enough & (np.asarray(fit.code) == 0)
+            good = bands_with_light(window) & enough & (np.asarray(fit.code) == 0)
             text = f"diffuse attenuation coefficient of {words}"
-            found[name] = _placed(mean_attenuation(job, fit, text), to, good)
+            found[name] = _placed(mean_attenuation(window, fit, text), to, good)
             text = f"{words} just below the surface"
-            found[f"{kind}_0"] = _placed(_surface(job, fit, unit, text), to, good)
+            found[f"{kind}_0"] = _placed(_surface(window, fit, unit, text), to, good)
     if "Eu_0" in found:
         found["R"] = _ratio(found["Eu_0"], found["Ed_0"], "1", "irradiance reflectance at 0-")
     if "Lu_0" in found:

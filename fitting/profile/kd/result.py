@@ -9,7 +9,7 @@ from fitting.core.parameters import Parameter, Parameters
 from fitting.core.result import Fit, Predictive, Quantity
 from fitting.observations.profile import Profile
 from fitting.profile.kd.band_fit import BandFit, thickness
-from fitting.profile.kd.cast import Cast, Job, lit
+from fitting.profile.kd.cast import Cast, FitWindow, bands_with_light
 from fitting.profile.kd.noise_statistics import runs_p, whitened
 from fitting.profile.kd.par_depths import light_of_bands, light_of_sensor, light_quantities
 from fitting.profile.kd.reflectances import cast_quantities, upward_notes
@@ -22,24 +22,24 @@ def _band_model(profile: Profile, x: np.ndarray, interfaces: np.ndarray) -> np.n
     return profile.dark + (light if profile.reference is None else profile.reference * light)
 
 
-def _used(job: Job, bands: BandFit) -> np.ndarray:
+def _used(window: FitWindow, bands: BandFit) -> np.ndarray:
     """(depth, wl) the samples of the window that were not outliers."""
-    used = np.zeros_like(job.mask)
-    used[: job.rows] = bands.used[:, : job.rows].T
-    return used & job.mask
+    used = np.zeros_like(window.mask)
+    used[: window.rows] = bands.used[:, : window.rows].T
+    return used & window.mask
 
 
 def _metadata(cast: Cast, bands: BandFit) -> dict:
-    job, profile = cast.job, cast.job.profile
-    used = _used(job, bands)
+    window, profile = cast.window, cast.window.profile
+    used = _used(window, bands)
     counts = dict(profile.counts)
     counts["missing, zero or negative"] = profile.masked
-    counts["outliers"] = int((job.mask & ~used).sum())
+    counts["outliers"] = int((window.mask & ~used).sum())
     metadata = {
         "source": profile.source,
         "kd_definition": cast.definition,
-        "depths_used": [int(n) for n in job.mask.sum(axis=0)],
-        "deepest_used_m": [float(profile.depth[m].max()) for m in job.mask.T],
+        "depths_used": [int(n) for n in window.mask.sum(axis=0)],
+        "deepest_used_m": [float(profile.depth[m].max()) for m in window.mask.T],
         "masked_values": profile.masked,
         "left_out": {reason: count for reason, count in counts.items() if count},
         "dark_level": profile.dark.tolist(),
@@ -69,15 +69,15 @@ def _kd_parameters(wavelength: np.ndarray, x: np.ndarray) -> Parameters:
 
 def light_depths(cast: Cast, bands: BandFit) -> tuple[dict[str, Quantity], dict]:
     """PAR below the surface and the depths of 10 and 1 % of it, where the data allow, and notes."""
-    sensor = light_of_sensor(cast.job.profile)
-    light = sensor or light_of_bands(cast.job, bands, lit(cast.job))
+    sensor = light_of_sensor(cast.window.profile)
+    light = sensor or light_of_bands(cast.window, bands, bands_with_light(cast.window))
     return ({}, {}) if light is None else light_quantities(light, sensor is not None)
 
 
 def kd_fit(cast: Cast, fits: Mapping[str, BandFit]) -> Fit:
     """The fit of Kd, and of K of upward light where there is any, as a `Fit`."""
-    job, bands = cast.job, fits["Ed"]
-    profile, mask, interfaces = job.profile, job.mask, job.interfaces
+    window, bands = cast.window, fits["Ed"]
+    profile, mask, interfaces = window.profile, window.mask, window.interfaces
     x, cov = np.asarray(bands.x), np.asarray(bands.covariance)
     n, unknowns = x.shape
     parameters = _kd_parameters(profile.wavelength, x)
@@ -86,7 +86,7 @@ def kd_fit(cast: Cast, fits: Mapping[str, BandFit]) -> Fit:
     for i in range(unknowns):
         for j in range(unknowns):
             full[order + i * n, order + j * n] = cov[:, i, j]
-    bright = lit(job)
+    bright = bands_with_light(window)
     dof = None if profile.sigma is not None else np.tile(bands.dof, unknowns)
     quantities = cast_quantities(cast, fits)
     depths, notes = light_depths(cast, bands)
@@ -98,7 +98,7 @@ def kd_fit(cast: Cast, fits: Mapping[str, BandFit]) -> Fit:
     metadata["bands_not_converged_nm"] = profile.wavelength[bands.code != 0].tolist()
     predictive = _predictive(profile, mask, bands, model)
     left = (predictive.observed - model) / predictive.sd
-    left = np.where(_used(job, bands), left, np.nan)
+    left = np.where(_used(window, bands), left, np.nan)
     white = whitened(left, profile.depth, np.nan_to_num(bands.length))
     # Noise may be independent or waves of the length found: the test rejects what is neither.
     metadata["runs_test_p"] = [

@@ -7,8 +7,8 @@ import numpy as np
 
 from fitting.core.result import Quantity
 from fitting.observations.profile import Profile
-from fitting.profile.kd.cast import Job, cast_of, light_of
-from fitting.profile.kd.layer_selection import weighted_lines
+from fitting.profile.kd.cast import FitWindow, cast_of, light_of
+from fitting.profile.kd.layer_selection import piecewise_linear_fit
 
 KNOTS = 20
 # How far ln Kd bends, as the standard deviation of its second difference from knot to knot.
@@ -73,10 +73,10 @@ def smooth_kd(profile: Profile, depth_range: tuple[float, float] | None = None) 
 
     **Arguments:** as for `fit_profile`.
     """
-    job = cast_of(profile, depth_range, None).job
-    deepest = float(profile.depth[job.rows - 1])
+    window = cast_of(profile, depth_range, None).window
+    deepest = float(profile.depth[window.rows - 1])
     knots = np.linspace(0.0, deepest, KNOTS)
-    columns = [_band(job, i, knots) for i in range(len(profile.wavelength))]
+    columns = [_band(window, i, knots) for i in range(len(profile.wavelength))]
     ln_kd, sd, dof, bend, smooth, layered = (
         np.stack(rows, axis=-1) for rows in zip(*columns, strict=True)
     )
@@ -88,7 +88,7 @@ def smooth_kd(profile: Profile, depth_range: tuple[float, float] | None = None) 
         Quantity(np.exp(ln_kd), sd, "m-1", text, dof=wide),
         float(np.sum(smooth - layered)),
         bend,
-        job.interfaces,
+        window.interfaces,
     )
 
 
@@ -102,29 +102,29 @@ def _paths(depth: np.ndarray, knots: np.ndarray) -> np.ndarray:
     return step * rising
 
 
-def _band(job: Job, band: int, knots: np.ndarray):
+def _band(window: FitWindow, band: int, knots: np.ndarray):
     """ln Kd and its deviation at the knots, degrees of freedom, bend, evidence of both models."""
-    profile, keep = job.profile, job.mask[:, band]
-    lines = weighted_lines(
+    profile, keep = window.profile, window.mask[:, band]
+    lines = piecewise_linear_fit(
         profile.depth,
         light_of(profile)[:, band : band + 1],
         profile.floor[band : band + 1],
         keep[:, None],
     )
-    lines.measure(job.interfaces)
+    lines.estimate_correlation_length(window.interfaces)
     y, weight = lines.log_light[:, 0], np.sqrt(lines.weight[:, 0])
     path = _paths(profile.depth, knots)
-    design, data, normal = lines.lanes(job.interfaces, lines.length)
+    design, data, normal = lines.normal_equations(window.interfaces, lines.length)
     beta = np.linalg.solve(normal[0], design[0].T @ data[0])[:, 0]
     left = data[0][:, 0] - design[0] @ beta
     count, size = int(lines.count[0]), len(beta)
     square = float(left @ left)
     # With the interfaces as unknowns; both evidences lack the same constants.
-    unknowns = size + len(job.interfaces)
+    unknowns = size + len(window.interfaces)
     layered = -0.5 * (count * (np.log(square / count) + 1.0) + unknowns * np.log(count))
 
     def whitened(columns):
-        scaled = lines.white((columns * weight[:, None])[:, None, :], lines.length)[:, 0]
+        scaled = lines.whiten((columns * weight[:, None])[:, None, :], lines.length)[:, 0]
         return np.where(lines.used[:, 0][:, None], scaled, 0.0)
 
     bends = np.diff(np.eye(len(knots)), 2, axis=0)

@@ -14,7 +14,7 @@ from fitting.core.parameters import Parameter, Parameters
 from fitting.profile.constituents.batched_search import Water, _rows, curve, nodes_and_basis
 from fitting.profile.constituents.from_kd_and_r import _WORTH, _spectra, _weighed
 from fitting.profile.constituents.reduced_data import spectra_of
-from fitting.profile.kd.batching import fit_lanes
+from fitting.profile.kd.batching import fit_windows
 from fitting.profile.kd.cast import cast_of
 from fitting.water_model.unknowns import absorption_shapes, water_iops, water_unknowns
 
@@ -69,7 +69,7 @@ def test_a_few_depths_hold_the_curve():
 
 def test_the_triangles_hold_all_that_samples_say():
     made = cast_of(cast(), None, 1)
-    data = spectra_of(made, {"Ed": fit_lanes([made.job])[0]}, oi.TwoStream())
+    data = spectra_of(made, {"Ed": fit_windows([made.window])[0]}, oi.TwoStream())
     rows = np.asarray(_rows(jax.device_put(data), jnp.asarray(data.start)))
     rng = np.random.default_rng(0)
     shift = rng.standard_normal(data.basis.shape[1])
