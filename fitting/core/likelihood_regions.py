@@ -11,7 +11,7 @@ from jaxtyping import Array, Float
 from fitting.core.least_squares import covariance, least_squares, value_and_jacobian
 from fitting.core.parameters import Log, Parameters
 from fitting.core.problem import AbstractProblem
-from fitting.core.program_cache import kept
+from fitting.core.program_cache import cached_jit
 from fitting.core.result import Fit
 
 # How hard numbers are held, in units of one over their standard deviations: one search after the
@@ -168,12 +168,12 @@ def held(
     return x, sums[-1]
 
 
-@kept
+@cached_jit
 def _held(problem: AbstractProblem, names, start, scale, target, root):
     return held(problem, names, start, scale, target, root)
 
 
-@kept
+@cached_jit
 def _linear(problem: AbstractProblem, names, x):
     """ln of the named numbers and their linearised covariance."""
     logs, slope = value_and_jacobian(lambda x: logs_of(problem, names, x), x)

@@ -19,7 +19,7 @@ from jaxtyping import Array, Float, Int
 from fitting.core.least_squares import covariance, value_and_jacobian
 from fitting.core.parameters import Log, Parameters
 from fitting.core.problem import AbstractProblem
-from fitting.core.program_cache import kept
+from fitting.core.program_cache import cached_jit
 from fitting.core.result import quantile
 
 # A constituent known to less than a factor of e either way: it may as well be absent.
@@ -120,7 +120,7 @@ def _conditional(slope, held):
     return covariance(jnp.concatenate([free, held[None, :].astype(slope.dtype)]))
 
 
-@kept
+@cached_jit
 def _walked(problem: AbstractProblem, x, i, length):
     return walk(problem, x, i, length)
 

@@ -24,7 +24,7 @@ from oceaninv.foundation.atomic_write import atomic_write
 
 
 def _folder() -> str | None:
-    """Where programs are kept: JAX's folder, if JAX itself keeps out of it.
+    """Where programs are stored: JAX's cache folder, unless JAX itself caches there.
 
     On a CPU a program that came out of JAX's own cache cannot be stored a second time: it would
     miss some of its functions (jaxlib 0.10).
@@ -34,8 +34,8 @@ def _folder() -> str | None:
 
 
 @cache
-def _house() -> bytes:
-    """Digest of everything besides its arguments that a program depends on."""
+def _environment_fingerprint() -> bytes:
+    """Hash of everything that a program depends on besides its arguments."""
     digest = hashlib.sha256()
     for root in (Path(oceaninv.__file__).parent, Path(__file__).parents[1]):
         for path in sorted([*root.rglob("*.py"), *root.rglob("*.csv")]):
@@ -51,7 +51,7 @@ def _house() -> bytes:
 
 
 def _processor() -> bytes:
-    """What machine code may use here: a folder can be shared by machines that differ."""
+    """Instruction sets of this processor: machines that share a folder may differ in them."""
     with contextlib.suppress(OSError):
         for line in Path("/proc/cpuinfo").read_bytes().splitlines():
             if line.startswith((b"flags", b"Features")):
@@ -73,10 +73,10 @@ class kept:
     """`eqx.filter_jit(function)` that a later process need neither trace nor compile again.
 
     Where JAX has a folder for its compilation cache but does not use it, the program is stored
-    there (that cache spares the compilation alone, about half of the wait).  The key holds the
-    source of the house, the versions of what it stands on, the machine and the static arguments,
-    so that a stale program is never found.  Without such a folder, under a transformation, or
-    with arrays on several devices, this is `eqx.filter_jit`.
+    there (JAX's own cache saves the compilation only, about half of the wait).  The cache key
+    hashes this project's source, its dependencies' versions, the machine and the static
+    arguments, so that an outdated program is never loaded.  Without such a folder, under a
+    transformation, or with arrays on several devices, this is `eqx.filter_jit`.
     """
 
     def __init__(self, function: Callable):
@@ -93,7 +93,7 @@ class kept:
         return program.result()(leaves)
 
     def prepare(self, *args) -> None:
-        """Begin to compile for a call with such arguments, beside what the caller does next.
+        """Start to compile for a call with such arguments, in a thread of its own.
 
         JAX traces one program at a time but compiles on another core.
         """
@@ -102,30 +102,33 @@ class kept:
             threading.Thread(target=self._program(args, leaves)[1]).start()
 
     def _program(self, args, leaves) -> tuple[Future[_Program], Callable[[], None]]:
-        """The program, promised, and what keeps the promise (nothing, if somebody is at it)."""
+        """A future of the program, and the function that fulfils it: one that does nothing where
+        another thread is at work on the same program."""
         arrays, static = eqx.partition(args, eqx.is_array)
         tree = jax.tree.structure(arrays)
         shapes = [(leaf.shape, str(leaf.dtype), leaf.weak_type) for leaf in leaves]
         name = self.function.__qualname__
-        key = hashlib.sha256(_house() + pickle.dumps((static, shapes, name))).hexdigest()
+        key = hashlib.sha256(
+            _environment_fingerprint() + pickle.dumps((static, shapes, name))
+        ).hexdigest()
         if key in self.programs:
             return self.programs[key], lambda: None
-        promised = self.programs[key] = Future()
+        future = self.programs[key] = Future()
 
         def make():
             path = Path(str(_folder())) / f"{self.function.__name__.strip('_')}-{key}.program"
             try:
                 found = _load(path) or _compile(path, self.function, static, leaves, tree)
-                promised.set_result(found)
+                future.set_result(found)
             except BaseException as error:
                 del self.programs[key]
-                promised.set_exception(error)
+                future.set_exception(error)
 
-        return promised, make
+        return future, make
 
 
 def _leaves(args) -> list | None:
-    """The arrays among arguments; None where their program is not to be stored."""
+    """The arrays among the arguments; None where their program must not be stored."""
     leaves = jax.tree.leaves(eqx.filter(args, eqx.is_array))
     if _folder() is None or any(isinstance(leaf, Tracer) for leaf in leaves):
         return None
@@ -141,7 +144,8 @@ def _write(path: Path, content: bytes) -> None:
 
 @cache
 def _register_lapack() -> None:
-    """A stored program calls LAPACK by names that JAX makes known when it lowers such a call."""
+    """Register LAPACK with XLA: a stored program calls its functions by name, and JAX registers
+    these names only when it lowers such a call."""
     jax.jit(jnp.linalg.qr).lower(jax.ShapeDtypeStruct((1, 1), jnp.float32))
 
 

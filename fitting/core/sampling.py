@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Array, Key
 
 from fitting.core.problem import AbstractProblem
-from fitting.core.program_cache import kept
+from fitting.core.program_cache import cached_jit
 from fitting.core.result import Fit, Quantity
 
 # Acceptance that the step is tuned to.
@@ -129,7 +129,7 @@ def _run(problem, centre, axes, start, key, sampler: NUTS, length: int):
         return _chains(problem, centre, axes, start, key, sampler, length)
 
 
-@kept
+@cached_jit
 def _chains(problem: AbstractProblem, centre, axes, start, key, sampler: NUTS, length: int):
     """(chain, length, unknown) draws, (chain,) divergences and mean acceptance."""
     from blackjax.adaptation.step_size import dual_averaging_adaptation
@@ -172,7 +172,7 @@ def _chains(problem: AbstractProblem, centre, axes, start, key, sampler: NUTS, l
     return jax.vmap(chain)(start, keys)
 
 
-@kept
+@cached_jit
 def _push(problem: AbstractProblem, draws):
     return jax.lax.map(problem.quantities, draws, batch_size=50)
 

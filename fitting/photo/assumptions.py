@@ -10,7 +10,7 @@ import numpy as np
 from fitting.core.least_squares import least_squares
 from fitting.core.parameters import Identity, Parameter, Parameters, Prior
 from fitting.core.problem import AbstractProblem
-from fitting.core.program_cache import kept
+from fitting.core.program_cache import cached_jit
 from fitting.core.result import Fit
 from fitting.water_model.alternatives import ALTERNATIVES, PREFIX
 
@@ -32,7 +32,7 @@ def opened(problem: Any) -> Any:
     return dataclasses.replace(problem, layout=open_to(problem.layout), prior=prior)
 
 
-@kept
+@cached_jit
 def _refitted(problem: AbstractProblem, x, scale):
     """(alternative + 1, unknown) optima and ln quantities there, first of the model as it is."""
     count = len(ALTERNATIVES)

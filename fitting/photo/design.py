@@ -13,7 +13,7 @@ from fitting.core.least_squares import (
     value_and_jacobian,
 )
 from fitting.core.parameters import Parameter
-from fitting.core.program_cache import kept
+from fitting.core.program_cache import cached_jit
 from fitting.core.result import Fit
 from fitting.observations.photo import Photo
 from fitting.photo.fit_photo import Known, _problem
@@ -22,7 +22,7 @@ from fitting.photo.result import _result
 from oceaninv.transport.base import AbstractTransport
 
 
-@kept
+@cached_jit
 def _at(problem: PhotoProblem, x):
     residual, jacobian = value_and_jacobian(problem.residual, x)
     quantities, slopes = value_and_jacobian(problem.quantities, x)

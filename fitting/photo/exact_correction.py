@@ -14,7 +14,7 @@ from collections.abc import Callable
 import jax.numpy as jnp
 import numpy as np
 
-from fitting.core.program_cache import kept
+from fitting.core.program_cache import cached_jit
 from fitting.core.result import Fit
 from fitting.photo.problem import Correction, PhotoProblem, predict_all
 from oceaninv.fidelity.planning import rung
@@ -75,7 +75,7 @@ def tangent(problem: PhotoProblem, x, ratios: Ratios, unit, exact) -> Correction
     return Correction(_logs(ratios), stacked, jnp.asarray(x), jnp.asarray(unit), zero, zero + 1.0)
 
 
-@kept
+@cached_jit
 def _misfit(problem: PhotoProblem, x):
     return jnp.sum(problem.residual(x) ** 2)
 

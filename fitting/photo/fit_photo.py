@@ -18,7 +18,7 @@ from fitting.core.least_squares import (
 )
 from fitting.core.multifidelity import EXACT, Demand, fit_within
 from fitting.core.parameters import Parameter
-from fitting.core.program_cache import kept
+from fitting.core.program_cache import cached_jit
 from fitting.core.result import Fit
 from fitting.observations.photo import WAVELENGTH, Photo
 from fitting.photo.exact_correction import approached, uncorrected
@@ -86,7 +86,7 @@ def _noisier(problem: PhotoProblem, factor) -> PhotoProblem:
     )
 
 
-@kept
+@cached_jit
 def _solve(problem: PhotoProblem, starts: Float[Array, "start unknown"]):
     """The best of the optima from several starts, found together."""
     if starts.shape[0] == 1:
@@ -101,7 +101,7 @@ def _solve(problem: PhotoProblem, starts: Float[Array, "start unknown"]):
     return _derived(problem, optimum)
 
 
-@kept
+@cached_jit
 def _solve_batch(problems: PhotoProblem):
     # One after the other in one program: side by side, every search would take as many steps as
     # the longest and both sides of every branch, which is slower than a loop of fits (measured).

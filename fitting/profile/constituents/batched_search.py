@@ -19,7 +19,7 @@ from jaxtyping import Array, Bool, Float
 import oceaninv as oi
 from fitting.core.least_squares import REMAINING, covariance, value_and_jacobian
 from fitting.core.parameters import Parameters, Prior
-from fitting.core.program_cache import kept
+from fitting.core.program_cache import cached_jit
 from fitting.water_model.quantities import water_quantities
 from fitting.water_model.unknowns import water_iops
 from oceaninv.transport.base import AbstractTransport
@@ -258,7 +258,7 @@ def _pass(layout: Parameters, grid, beam, transport: AbstractTransport, prior, d
 _ONE_AT_A_TIME = threading.Lock()
 
 
-@kept
+@cached_jit
 def _pass_all(layout: Parameters, prior: Prior, grid, beam, transport, data: Spectra, at: Search):
     return jax.vmap(functools.partial(_pass, layout, grid, beam, transport))(prior, data, at)
 

@@ -9,7 +9,7 @@ import oceaninv as oi
 from fitting.core.least_squares import covariance, least_squares, value_and_jacobian
 from fitting.core.parameters import Parameters, Prior
 from fitting.core.problem import AbstractProblem
-from fitting.core.program_cache import kept
+from fitting.core.program_cache import cached_jit
 from fitting.water_model.layered_water import interfaces, layer_quantities, water_of
 from fitting.water_model.quantities import water_quantities
 from oceaninv.transport.base import AbstractTransport
@@ -99,7 +99,7 @@ def _unrounded(depth, interface, width, about):
     return 0.25 * (width[None, :] * jnp.maximum(1.0 - away, 0.0) ** 2) @ more
 
 
-@kept
+@cached_jit
 def solve_cast(problem: CastProblem, start):
     """The optimum, its covariance and the model at the samples, NaN at those left out."""
 
@@ -113,13 +113,13 @@ def solve_cast(problem: CastProblem, start):
     return optimum, covariance(optimum.jacobian), model
 
 
-@kept
+@cached_jit
 def describe_cast(problem: CastProblem, x):
     """The quantities and their slopes: not of the search, so it compiles beside it."""
     return value_and_jacobian(problem.quantities, x)
 
 
-@kept
+@cached_jit
 def lights(layout: Parameters, grid, transports, x, depth):
     """(depth, wl) Ed through each transport."""
     return tuple(model_ed(layout, grid, transport, x, depth) for transport in transports)

@@ -17,7 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from fitting.core.program_cache import kept
+from fitting.core.program_cache import cached_jit
 from fitting.profile.kd.noise_statistics import correlation_of_neighbours, previous_used, whiten
 
 RELATIVE_NOISE = 0.05
@@ -88,7 +88,7 @@ def thickness(depth, interfaces):
     return xp.stack([*map(xp.minimum, reaches[:-1], limits), reaches[-1]], axis=-1)
 
 
-@kept
+@cached_jit
 def fit_band_batch(batch: BandBatch) -> BandFit:
     """Maximum likelihood for every band by itself; one compiled program for a padded batch.
 

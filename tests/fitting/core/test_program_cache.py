@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from fitting.core import program_cache
-from fitting.core.program_cache import kept
+from fitting.core.program_cache import cached_jit
 
 TRACES = []
 
@@ -26,7 +26,7 @@ def folder(tmp_path, monkeypatch):
 
 def call(power=2, size=3):
     """As a new process would: with nothing in memory."""
-    return kept(_line)(jnp.asarray(2.0), jnp.arange(float(size)), power)
+    return cached_jit(_line)(jnp.asarray(2.0), jnp.arange(float(size)), power)
 
 
 def test_a_stored_program_is_not_traced_again(folder):
@@ -69,7 +69,7 @@ def test_without_a_folder_it_is_jit(monkeypatch):
 
 
 def test_a_program_prepared_beside_is_the_one_called(folder):
-    program, x = kept(_line), jnp.arange(3.0)
+    program, x = cached_jit(_line), jnp.arange(3.0)
     for _ in range(2):
         program.prepare(jnp.asarray(2.0), x, 2)
     np.testing.assert_array_equal(program(jnp.asarray(2.0), x, 2)["value"], [0.0, 2.0, 8.0])
@@ -80,7 +80,7 @@ def test_an_error_while_preparing_is_the_call_s(folder):
     def fails(x):
         raise ValueError("no such water")
 
-    program = kept(fails)
+    program = cached_jit(fails)
     program.prepare(jnp.ones(2))
     with pytest.raises(ValueError, match="no such water"):
         program(jnp.ones(2))
