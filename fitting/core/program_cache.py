@@ -69,7 +69,7 @@ class _Program(eqx.Module):
         return jax.tree.unflatten(self.tree, self.call(*leaves))
 
 
-class kept:
+class cached_jit:
     """`eqx.filter_jit(function)` that a later process need neither trace nor compile again.
 
     Where JAX has a folder for its compilation cache but does not use it, the program is stored
