@@ -1,20 +1,26 @@
 """Write the tables of oceaninv/data from the collection of published numbers.
 
-    python tests/reference/regenerate_tables.py [folder]
+    python tests/reference/regenerate_tables.py FOLDER [--check]
 
-reads ../shared/data next to the repository and writes into `folder` (default oceaninv/data).
-Not needed at run time: the tables are part of the package.
+FOLDER holds the published numbers, one csv a publication, and dgk_chart_reflectances.csv.  Writes
+into oceaninv/data, and the digests of what it wrote into tests/reference/table_digests.csv.  With
+`--check` it writes nothing, compares with the committed tables and ends with status 1 where a
+header or a number differs.  Not needed at run time: the tables are part of the package.
 """
 
+import argparse
 import csv
+import hashlib
 import json
 import sys
+import tempfile
 from pathlib import Path
 
 import numpy as np
 
 ROOT = Path(__file__).parents[2]
-SOURCE = ROOT.parent / "shared" / "data"
+DATA = ROOT / "oceaninv" / "data"
+DIGESTS = Path(__file__).with_name("table_digests.csv")
 
 TYPES = ("I", "IA", "IB", "II", "III", "1C", "3C", "5C", "7C", "9C")
 FLAGS = {"Kd0": 1, "Kd": 2, "KdH": 4, "a": 8, "b": 16}
@@ -47,9 +53,9 @@ CAMERAS = (
 UNBALANCED = ("ARRI D21", "Nikon D5100")
 
 
-def read(name):
+def read(source, name):
     """Rows of a source table as dictionaries of strings."""
-    with open(SOURCE / f"{name}.csv", encoding="utf-8", newline="") as file:
+    with open(source / f"{name}.csv", encoding="utf-8", newline="") as file:
         return list(csv.DictReader(line for line in file if not line.startswith("#")))
 
 
@@ -81,7 +87,7 @@ def between(rows, low, high):
     return [row for row in rows if low <= float(row["wavelength_nm"]) <= high]
 
 
-def pure_water(folder):
+def pure_water(source, folder):
     write(
         folder,
         "IOCCG2018",
@@ -97,7 +103,7 @@ def pure_water(folder):
             " per degC and per unit of practical salinity; a_salinity is not given below 400 nm",
         },
         pick(
-            between(read("aw_ioccg_2018"), 300, 800),
+            between(read(source, "aw_ioccg_2018"), 300, 800),
             wavelength="wavelength_nm",
             a="a_w_per_m",
             a_sigma="a_w_unc_per_m",
@@ -116,7 +122,7 @@ def pure_water(folder):
             "range": "380-727.5 nm",
             "note": "fresh water at 22 degC; printed in 1/cm",
         },
-        pick(read("aw_pope_fry_1997"), wavelength="wavelength_nm", a="a_w_per_m"),
+        pick(read(source, "aw_pope_fry_1997"), wavelength="wavelength_nm", a="a_w_per_m"),
     )
     write(
         folder,
@@ -130,7 +136,7 @@ def pure_water(folder):
             "note": "an upper bound for pure water below about 420 nm; no temperature or salinity"
             " is stated",
         },
-        pick(read("aw_smith_baker_1981"), wavelength="wavelength_nm", a="a_w_per_m"),
+        pick(read(source, "aw_smith_baker_1981"), wavelength="wavelength_nm", a="a_w_per_m"),
     )
     write(
         folder,
@@ -146,7 +152,7 @@ def pure_water(folder):
             " and per unit of practical salinity",
         },
         pick(
-            between(read("aw_wopp_v3_300_1100"), 300, 800),
+            between(read(source, "aw_wopp_v3_300_1100"), 300, 800),
             wavelength="wavelength_nm",
             a="a_w_per_m_20C_0psu",
             a_sigma="sigma_a",
@@ -156,7 +162,7 @@ def pure_water(folder):
     )
 
 
-def constituents(folder):
+def constituents(source, folder):
     write(
         folder,
         "Bricaud1995",
@@ -168,7 +174,7 @@ def constituents(folder):
             "range": "400-700 nm",
             "note": "a_ph = A C^(1-E) in 1/m, C chlorophyll a in mg/m3, 0.02-25 mg/m3",
         },
-        pick(read("aph_bricaud_1995"), wavelength="wavelength_nm", A="A", E="E"),
+        pick(read(source, "aph_bricaud_1995"), wavelength="wavelength_nm", A="A", E="E"),
     )
     write(
         folder,
@@ -183,7 +189,7 @@ def constituents(folder):
             " in 1/m; C chlorophyll a with divinyl and pheopigments in mg/m3",
         },
         pick(
-            read("aph_bricaud_1998"),
+            read(source, "aph_bricaud_1998"),
             wavelength="wavelength_nm",
             A_p="A_p",
             E_p="E_p",
@@ -228,7 +234,7 @@ def constituents(folder):
             " light",
         },
         pick(
-            read("petzold_average_particle_phase_function"),
+            read(source, "petzold_average_particle_phase_function"),
             angle="angle_deg",
             phase_function="phase_function_per_sr",
         ),
@@ -236,7 +242,7 @@ def constituents(folder):
     )
 
 
-def water_types(folder):
+def water_types(source, folder):
     write(
         folder,
         "MorelMaritorena2001",
@@ -249,7 +255,7 @@ def water_types(folder):
             "note": "Kd = Kw + chi C^e in 1/m, mean over the upper layer; C chlorophyll in mg/m3",
         },
         pick(
-            read("kd_morel_maritorena_2001"),
+            read(source, "kd_morel_maritorena_2001"),
             wavelength="wavelength_nm",
             Kw="K_w_per_m",
             chi="chi",
@@ -267,12 +273,12 @@ def water_types(folder):
             "note": "mean Kd from 0 to 10 m; 7C and 9C have no value at 310 nm",
         },
         pick(
-            read("jerlov_kd_1976_table27"),
+            read(source, "jerlov_kd_1976_table27"),
             wavelength="wavelength_nm",
             **{kind: kind for kind in TYPES},
         ),
     )
-    rows = read("jerlov_iop_solonenko_mobley_2015")
+    rows = read(source, "jerlov_iop_solonenko_mobley_2015")
     for row in rows:
         row["flag"] = sum(FLAGS[flag] for flag in row["flagged"].split("|") if flag)
     columns = by_type(rows, TYPES, ("a", "b", "Kd0", "Kd", "KdH", "flag"))
@@ -308,7 +314,7 @@ def water_types(folder):
             " outside; contains public sector information licensed under the Open Government"
             " Licence v3.0",
         },
-        by_type(read("jerlov_iop_williamson_hollins_2022"), types, ("a", "b")),
+        by_type(read(source, "jerlov_iop_williamson_hollins_2022"), types, ("a", "b")),
     )
 
 
@@ -323,15 +329,15 @@ def by_type(rows, types, quantities):
     return table
 
 
-def cameras(folder):
+def cameras(source, folder):
     spectra = {}
-    rows = read("camera_ssf_rawtoaces_52")
+    rows = read(source, "camera_ssf_rawtoaces_52")
     for row in rows:
         spectra.setdefault(row["camera"], []).append([float(row[c]) for c in "RGB"])
     grid = np.unique([float(row["wavelength_nm"]) for row in rows])
     spectra = {name: np.array(block) for name, block in spectra.items()}
     spectra = {name: block / block[:, 1].max() for name, block in spectra.items()}
-    source = (
+    origin = (
         "rawtoaces-data, Academy Software Foundation and A.M.P.A.S., Apache License 2.0 (see"
         " NOTICE.md)"
     )
@@ -345,7 +351,7 @@ def cameras(folder):
         common
         | {
             "title": "Spectral sensitivities of cameras",
-            "citation": source,
+            "citation": origin,
             "note": "relative response to spectral radiance; the green maximum of each camera is 1",
         },
         columns,
@@ -368,7 +374,7 @@ def cameras(folder):
         common
         | {
             "title": "Mean spectral sensitivity of cameras and its three principal components",
-            "citation": f"own principal component analysis of {len(balanced)} cameras of {source}",
+            "citation": f"own principal component analysis of {len(balanced)} cameras of {origin}",
             "note": "each camera was first scaled to a green maximum of 1; the components are unit"
             " vectors over all channels and wavelengths times the standard deviation of their"
             f" scores, {', '.join(f'{value:.5g}' for value in sd[:3])}; they hold"
@@ -381,11 +387,11 @@ def cameras(folder):
     )
 
 
-def inelastic(folder):
+def inelastic(source, folder):
     """Raman shift of water and fluorescence of CDOM."""
-    text = (SOURCE / "fluorescence_raman_parameters.json").read_text(encoding="utf-8")
-    source = json.loads(text)
-    cdom = source["cdom_fluorescence_hawes1992_FA7"]
+    text = (source / "fluorescence_raman_parameters.json").read_text(encoding="utf-8")
+    parameters = json.loads(text)
+    cdom = parameters["cdom_fluorescence_hawes1992_FA7"]
     write(
         folder,
         "Hawes1992",
@@ -403,7 +409,7 @@ def inelastic(folder):
         },
         {"wavelength": cdom["excitation_nm"], "A0": cdom["A0_per_nm"]},
     )
-    raman = source["raman_water"]["redistribution"]
+    raman = parameters["raman_water"]["redistribution"]
     write(
         folder,
         "Walrafen1967",
@@ -420,9 +426,12 @@ def inelastic(folder):
     )
 
 
-def charts(folder):
+def charts(source, folder):
     """Reflectances of a colour chart."""
-    with open(SOURCE.parent / "photos" / "dgk_chart_reflectances.csv", newline="") as file:
+    path = source / "dgk_chart_reflectances.csv"
+    if not path.exists():
+        path = source.parent / "photos" / path.name
+    with open(path, encoding="utf-8", newline="") as file:
         rows = list(csv.DictReader(file))
     columns = {"wavelength": [row["wavelength"] for row in rows]}
     for i in range(1, 19):
@@ -444,10 +453,58 @@ def charts(folder):
     )
 
 
-def main(folder):
+def digest(path):
+    """SHA-256 of a text file, the same whatever ends its lines."""
+    return hashlib.sha256(path.read_bytes().replace(b"\r\n", b"\n")).hexdigest()
+
+
+def differences(fresh, committed):
+    """One sentence for each table that is missing, new or different."""
+    names = (
+        {path.name for path in fresh.glob("*.csv")},
+        {path.name for path in committed.glob("*.csv")},
+    )
+    found = [f"{name}: only remade" for name in sorted(names[0] - names[1])]
+    found += [f"{name}: only committed" for name in sorted(names[1] - names[0])]
+    for name in sorted(names[0] & names[1]):
+        new, old = (
+            (at / name).read_text(encoding="utf-8").splitlines() for at in (fresh, committed)
+        )
+        if new[:6] != old[:6]:
+            found.append(f"{name}: the header differs")
+            continue
+        numbers = [np.genfromtxt(lines[6:], delimiter=",") for lines in (new, old)]
+        # Principal components differ in the last printed digit between linear algebra libraries.
+        if numbers[0].shape != numbers[1].shape or not np.allclose(
+            *numbers, rtol=2e-5, atol=1e-9, equal_nan=True
+        ):
+            found.append(f"{name}: numbers differ")
+    return found
+
+
+def remake(source, folder):
     for chapter in (pure_water, constituents, inelastic, water_types, cameras, charts):
-        chapter(folder)
+        chapter(source, folder)
+
+
+def main(arguments):
+    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser.add_argument("folder", type=Path, help="folder of the published numbers")
+    parser.add_argument("--check", action="store_true", help="compare, write nothing")
+    asked = parser.parse_args(arguments)
+    if not (asked.folder / "aw_pope_fry_1997.csv").exists():
+        parser.error(f"{asked.folder} lacks aw_pope_fry_1997.csv: name the folder of these tables.")
+    if asked.check:
+        with tempfile.TemporaryDirectory() as fresh:
+            remake(asked.folder, Path(fresh))
+            found = differences(Path(fresh), DATA)
+        print("\n".join(found) or "All committed tables are those that were remade.")
+        return bool(found)
+    remake(asked.folder, DATA)
+    rows = [f"{path.name},{digest(path)}" for path in sorted(DATA.glob("*.csv"))]
+    DIGESTS.write_text("\n".join(["table,sha256", *rows]) + "\n", encoding="utf-8")
+    return 0
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]) if len(sys.argv) > 1 else ROOT / "oceaninv" / "data")
+    sys.exit(main(sys.argv[1:]))

@@ -1,5 +1,6 @@
 """The tables against published numbers, their headers, and the errors of the loader."""
 
+import csv
 import doctest
 import importlib.util
 import sys
@@ -11,9 +12,7 @@ import pytest
 
 from oceaninv.foundation import spectrum, tables
 from oceaninv.water import pure_water as water
-from tests.paths import ROOT
-
-SHARED = ROOT.parent / "shared" / "data"
+from tests.paths import REFERENCE, ROOT
 
 # Typed from the publications, not read from the csv files.
 PUBLISHED = [
@@ -223,25 +222,48 @@ def test_check_wavelength_returns_float64():
         np.testing.assert_array_equal(checked, [400.0, 500.0])
 
 
-def test_regenerated_tables_are_the_committed_ones(tmp_path):
-    if not SHARED.exists():
-        pytest.skip("the collection of published numbers (../shared/data) is absent")
-    path = ROOT / "tests" / "reference" / "regenerate_tables.py"
+def _regenerate_tables():
+    """The module tests/reference/regenerate_tables.py."""
+    path = REFERENCE / "regenerate_tables.py"
     spec = importlib.util.spec_from_file_location("regenerate_tables", path)
     assert spec is not None
     assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
-    module.main(tmp_path)
-    assert sorted(path.stem for path in tmp_path.iterdir()) == sorted(tables.names())
-    for name in tables.names():
-        old = tables.load(name)
-        fresh = (tmp_path / f"{name}.csv").read_text(encoding="utf-8").splitlines()
-        kept = (ROOT / "oceaninv" / "data" / f"{name}.csv").read_text(encoding="utf-8").splitlines()
-        assert fresh[:6] == kept[:6]
-        numbers = np.genfromtxt(fresh[6:], delimiter=",").T
-        columns = list(old.columns.values())
-        np.testing.assert_allclose(numbers[-len(columns) :], columns, rtol=2e-5, atol=1e-9)
+    return module
+
+
+def test_committed_tables_have_the_digests_they_were_written_with():
+    with open(REFERENCE / "table_digests.csv", encoding="utf-8") as file:
+        listed = {row["table"]: row["sha256"] for row in csv.DictReader(file)}
+    module = _regenerate_tables()
+    found = {path.name: module.digest(path) for path in (ROOT / "oceaninv/data").glob("*.csv")}
+    assert sorted(found) == [f"{name}.csv" for name in sorted(tables.names())]
+    assert found == listed
+
+
+def test_a_changed_table_is_named(tmp_path, capsys):
+    """The comparison behind --check: header, numbers, missing files; and a folder without data."""
+    module = _regenerate_tables()
+    data = ROOT / "oceaninv/data"
+    for path in data.glob("*.csv"):
+        (tmp_path / path.name).write_bytes(path.read_bytes())
+    assert module.differences(tmp_path, data) == []
+    name = "PopeFry1997.csv"
+    text = (data / name).read_text(encoding="utf-8")
+    for old, new, said in (
+        ("0.00442", "0.00443", "numbers differ"),
+        ("Pope & Fry", "Pope and Fry", "the header differs"),
+    ):
+        assert old in text
+        (tmp_path / name).write_text(text.replace(old, new), encoding="utf-8")
+        assert module.differences(tmp_path, data) == [f"{name}: {said}"]
+        assert module.digest(tmp_path / name) != module.digest(data / name)
+    (tmp_path / name).unlink()
+    assert module.differences(tmp_path, data) == [f"{name}: only committed"]
+    with pytest.raises(SystemExit):
+        module.main([str(tmp_path)])
+    assert "lacks aw_pope_fry_1997.csv" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("module", [tables, water, spectrum], ids=lambda module: module.__name__)

@@ -194,9 +194,6 @@ def _natural_water(name, radii):
     return bulk, max(np.abs(np.asarray(v) / np.array(water[k]) - 1).max() for v, k in pairs)
 
 
-@pytest.mark.skipif(
-    not REFERENCE_FILE.exists(), reason="reference data natural_waters.json not here"
-)
 @pytest.mark.parametrize("name", ["Atlantic", "North Sea"])
 @pytest.mark.parametrize(
     ("radii", "tolerance"), [(400, 6e-4), pytest.param(3200, 5e-5, marks=pytest.mark.slow)]

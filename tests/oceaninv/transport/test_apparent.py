@@ -14,7 +14,6 @@ from oceaninv.water.phase import HenyeyGreenstein, Isotropic
 from tests.paths import REFERENCE
 
 REFERENCE_FILE = REFERENCE / "radiative_transfer.json"
-needs_reference = pytest.mark.skipif(not REFERENCE_FILE.exists(), reason="no reference fields here")
 TRANSPORT = oi.PlaneParallel(8, 4)
 WATER = oi.IOPs([450.0, 550.0], jnp.asarray([0.1, 0.3]), jnp.full(2, 0.4), HenyeyGreenstein(0.8))
 
@@ -24,7 +23,6 @@ def scene(light=None, **more):
     return oi.Scene(WATER, light, oi.FlatSurface(1.34), **more)
 
 
-@needs_reference
 def test_asymptotic_attenuation():
     """K/c to 1e-5 of the reference, whatever scatters how."""
     cases = json.loads(REFERENCE_FILE.read_text())["analytic"]["asymptotic_K_over_c"]

@@ -7,9 +7,9 @@ import pytest
 
 from oceaninv.foundation import tables
 from oceaninv.water import pure_water as water
-from tests.paths import ROOT
+from tests.paths import REFERENCE
 
-CHECK = ROOT.parent / "shared" / "data" / "bw_seawater_check_values.csv"
+CHECK = REFERENCE / "pure_water_check_values.csv"
 WAVELENGTH = np.arange(400.0, 701.0, 25.0)
 
 # b in 1/m at 20 degC for S = 0, 35, 38.4 (Zhang, Hu & He 2009, computed independently, 5 digits).
@@ -30,16 +30,15 @@ def test_zhang2009_check_values(wavelength):
 
 
 def test_zhang2009_against_the_whole_check_table():
-    if not CHECK.exists():
-        pytest.skip("the check values (../shared/data) are absent")
     with open(CHECK, encoding="utf-8") as file:
         rows = list(csv.DictReader(line for line in file if not line.startswith("#")))
-    wavelength = np.array([float(row["wavelength_nm"]) for row in rows])
-    for name, salinity in (("S0", 0.0), ("S35", 35.0), ("S38.4", 38.4)):
-        expected = [float(row[f"b_zhang2009_T20_{name}"]) for row in rows]
+    wavelength = np.array([float(row["wavelength"]) for row in rows])
+    assert len(wavelength) == 13
+    for salinity in (0.0, 35.0, 38.4):
+        expected = [float(row[f"b_{salinity:g}"]) for row in rows]
         got = water.scattering(wavelength, salinity=salinity)
         np.testing.assert_allclose(got, expected, rtol=2.8e-5)  # worst 2.7e-5: their rounding
-    at_90 = [float(row["beta90_zhang2009_T20_S35"]) for row in rows]
+    at_90 = [float(row["beta90_35"]) for row in rows]
     factor = 4 * np.pi * (1 + water.phase_constant() / 3)
     np.testing.assert_allclose(water.scattering(wavelength) / factor, at_90, rtol=4.6e-5)
 

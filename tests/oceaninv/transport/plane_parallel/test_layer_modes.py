@@ -15,7 +15,6 @@ from oceaninv.transport.plane_parallel import _matrix_functions as mf
 from tests.paths import REFERENCE
 
 REFERENCE_FILE = REFERENCE / "radiative_transfer.json"
-needs_reference = pytest.mark.skipif(not REFERENCE_FILE.exists(), reason="no reference fields here")
 
 
 def column_fluxes(a, moments, thickness, cosine, rho, shares, streams):
@@ -50,12 +49,9 @@ SHARES = jnp.asarray([0.0, 0.3, 1.0])
 
 
 def cases():
-    return (
-        json.loads(REFERENCE_FILE.read_text())["flux"]["cases"] if REFERENCE_FILE.exists() else []
-    )
+    return json.loads(REFERENCE_FILE.read_text())["flux"]["cases"]
 
 
-@needs_reference
 @pytest.mark.parametrize("streams", [16, 48])
 def test_fluxes_against_256_streams(streams):
     """|error| <= 1e-6 |value| + A, A = 1e-6 (1e-5 for g = 0.924) at 16 streams, 1e-8 at 48."""

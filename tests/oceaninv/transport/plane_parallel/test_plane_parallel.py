@@ -17,7 +17,6 @@ from oceaninv.water.phase import HenyeyGreenstein, Seawater, petzold
 from tests.paths import REFERENCE
 
 REFERENCE_FILE = REFERENCE / "radiative_transfer.json"
-needs_reference = pytest.mark.skipif(not REFERENCE_FILE.exists(), reason="no reference fields here")
 WAVELENGTH = np.array([450.0, 550.0])
 
 
@@ -26,12 +25,9 @@ def water(a, b, phase, dtype=jnp.float64):
 
 
 def reference(block):
-    return (
-        json.loads(REFERENCE_FILE.read_text())[block] if REFERENCE_FILE.exists() else {"cases": []}
-    )
+    return json.loads(REFERENCE_FILE.read_text())[block]
 
 
-@needs_reference
 @pytest.mark.parametrize(
     ("problem", "albedo", "streams"), [("P1_w0.9", 0.9, 12), ("P2_w0.2", 0.2, 24)]
 )
@@ -67,7 +63,6 @@ def sphere_of_views(case):
 
 
 @pytest.mark.slow
-@needs_reference
 def test_radiance_against_the_reference():
     """Where the reference is reliable: 1e-3, at 16 streams up to g = 0.8 and at 48 for 0.924 (under
     a slanted sun: tests.acceptance.plane_parallel_accuracy).
