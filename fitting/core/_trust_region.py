@@ -9,9 +9,10 @@ import optimistix as optx
 class _TrustRegion(optx.AbstractSearch):
     """Longer steps after good ones, shorter after bad ones, as in `optx.ClassicalTrustRegion`.
 
-    Two differences.  Steps grow as soon as the linear model is roughly right: the valleys of these
-    problems are long and curved.  And a change of the sum below its rounding error counts as no
-    loss: otherwise the last steps are refused for ever and the search never ends.
+    Two differences.  Steps grow as soon as the linear model is roughly right, as the sum of
+    squares of these problems has long, curved ridges of nearly equal values.  And a change of the
+    sum below its rounding error counts as no loss: otherwise the last steps are refused for ever
+    and the search never ends.
     """
 
     def init(self, y, f_info_struct):

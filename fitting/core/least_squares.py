@@ -131,14 +131,14 @@ def covariance(jacobian: Float[Array, "residual unknown"]) -> Float[Array, "unkn
     return half.T @ half
 
 
-class Bend(eqx.Module):
-    """What the curvature of a model does to a mode, to second order.
+class SecondOrderError(eqx.Module):
+    """Second-order errors of a mode, which the curvature of a model causes.
 
-    - `spread`, `derived`: standard deviation of the second-order part of the errors of the
+    - `sd`, `derived`: standard deviation of the second-order part of the errors of the
       coordinates (unknown,), and of a tree of derived numbers.
     """
 
-    spread: Float[Array, " unknown"]
+    sd: Float[Array, " unknown"]
     derived: Any
 
 
@@ -149,16 +149,16 @@ def curvature(
     jacobian: Float[Array, "residual unknown"],
     slopes: Any,
     step: float = 0.1,
-) -> Bend:
-    """How the second-order errors of a mode of curved least squares scatter.
+) -> SecondOrderError:
+    """Standard deviations of the second-order errors of a mode of nonlinear least squares.
 
     `function` (x) -> (residual, tree of derived numbers); `slopes`: the Jacobian of the latter.  A
     mode errs by d + q(d), d its linear error and q_i = 1/2 d^T M_i d with M_i the Hessian of
-    x_i - (C J^T r)_i.  The spread of q is (1/2 tr (M_i C)^2)^1/2.
+    x_i - (C J^T r)_i.  The standard deviation of q is (1/2 tr (M_i C)^2)^1/2.
 
-    Second differences over `step` standard deviations along as many orthogonal axes, turned at
-    random, as there are unknowns: the trace of the square is within some 30 %.  One more
-    copy of the model to compile, but of no derivative.
+    Estimated from second differences over `step` standard deviations along randomly rotated
+    orthogonal axes, as many as there are unknowns: the trace of the square is then right within
+    some 30 %.  This compiles the model once more, but none of its derivatives.
     """
     count = x.shape[0]
     turn = np.linalg.qr(np.random.default_rng(0).standard_normal((count, count)))[0]
@@ -167,27 +167,27 @@ def curvature(
     axes = unit[:, None] * vectors * jnp.sqrt(jnp.maximum(values, 0.0))[None, :]
     axes = step * (axes @ jnp.asarray(turn, x.dtype)).T
     points = jnp.concatenate([x[None, :], x[None, :] + axes, x[None, :] - axes])
-    seen = jax.lax.map(function, points, batch_size=16)
+    values_at = jax.lax.map(function, points, batch_size=16)
 
-    def bent(leaf):
+    def second_derivative(leaf):
         """(axis, ...) second derivatives."""
         found = (leaf[1 : count + 1] + leaf[count + 1 :] - 2.0 * leaf[:1]) / step**2
         return jnp.where(jnp.isfinite(found), found, 0.0)
 
-    of_residual, of_derived = jax.tree.map(bent, seen)
+    of_residual, of_derived = jax.tree.map(second_derivative, values_at)
     pull = -of_residual @ jnp.where(jnp.isfinite(jacobian), jacobian, 0.0) @ cov
 
-    def spread(diagonal):
+    def standard_deviation(diagonal):
         # Of M in axes turned at random, E sum M_kk^2 = ((tr M)^2 + 2 tr M^2) / (n + 2).
         square = (count + 2) * jnp.sum(diagonal**2, axis=0) - jnp.sum(diagonal, axis=0) ** 2
         return jnp.sqrt(jnp.maximum(0.25 * square, 0.0))
 
     def of_tree(own, slope):
         carried = jnp.tensordot(pull, slope, axes=[[1], [slope.ndim - 1]])
-        return spread(own + carried)
+        return standard_deviation(own + carried)
 
     derived = jax.tree.map(of_tree, of_derived, slopes)
-    return Bend(spread(pull), derived)
+    return SecondOrderError(standard_deviation(pull), derived)
 
 
 def cross_check(

@@ -28,8 +28,8 @@ class Quantity:
 
     `sd` is of the natural logarithm (relative): optical coefficients are positive.  `samples`:
     (draw, ...) values of a sampled posterior, whose quantiles are then the intervals.  `dof`:
-    degrees of freedom of its own, of the shape of `value`, where it has such.  `bend`: spread of
-    the second-order error, which widens intervals (see `half_width`).
+    degrees of freedom of its own, of the shape of `value`, where it has such.  `second_order_sd`:
+    standard deviation of the second-order error, which widens intervals (see `half_width`).
     """
 
     value: np.ndarray
@@ -38,13 +38,15 @@ class Quantity:
     long_name: str
     samples: np.ndarray | None = None
     dof: np.ndarray | None = None
-    bend: np.ndarray | float = 0.0
+    second_order_sd: np.ndarray | float = 0.0
 
     def interval(self, level: float = 0.95, dof: float | Vector | None = None):
         """(low, high) that holds the truth with probability `level`."""
         if self.samples is not None:
             return tuple(np.quantile(self.samples, [0.5 - 0.5 * level, 0.5 + 0.5 * level], axis=0))
-        reach = half_width(level, self.sd, self.bend, dof if self.dof is None else self.dof)
+        reach = half_width(
+            level, self.sd, self.second_order_sd, dof if self.dof is None else self.dof
+        )
         return self.value * np.exp(-reach), self.value * np.exp(reach)
 
 
@@ -56,15 +58,16 @@ def quantile(level: float, dof: float | np.ndarray | None = None) -> Any:
     return ndtri(tail) if dof is None else stdtrit(dof, tail)
 
 
-def half_width(level: float, sd: Any, bend: Any = 0.0, dof: Any = None):
-    """Half-width of a central interval of an error with a second-order part of spread `bend`.
+def half_width(level: float, sd: Any, second_order_sd: Any = 0.0, dof: Any = None):
+    """Half-width of a central interval of an error with a second-order part.
 
-    z + c (z^2 - 1), of variance 1 + 2 c^2, has its quantiles c (z^2 - 1) away from those of z: none
-    at one standard deviation, c of bend/2^(1/2) times 2.84 at 95 %.  The sign of the displacement
-    is not known well enough to shift by, so it is added in squares.
+    `second_order_sd`: standard deviation of that part.  z + c (z^2 - 1), with c =
+    second_order_sd / 2^(1/2), has variance 1 + 2 c^2 and quantiles that differ from those of z by
+    c (z^2 - 1): nothing at one standard deviation, 2.84 c at 95 %.  The sign of c is not known well
+    enough to shift the interval, so the difference is added in squares.
     """
     z = quantile(level, dof)
-    return np.hypot(z * sd, (z * z - 1.0) * bend / np.sqrt(2.0))
+    return np.hypot(z * sd, (z * z - 1.0) * second_order_sd / np.sqrt(2.0))
 
 
 def amount_bias(sd: Any):
@@ -113,8 +116,8 @@ class Fit:
     - `samples`: (draw, unknown) coordinates drawn from the posterior, or None; intervals are
       then their quantiles.
     - `bias`: (unknown,) what the mode `x` errs by on average (`amount_bias`); taken off `value`.
-      `bend`: (unknown,) spread of its second-order error, which widens the intervals (see
-      `half_width`).  None for neither.
+      `second_order_sd`: (unknown,) standard deviation of its second-order error, which widens the
+      intervals (see `half_width`).  None for neither.
     """
 
     # What `report` draws with: `fitting.report.picture`, of a package above this one, sets it.
@@ -133,7 +136,7 @@ class Fit:
     problem: Any = dataclasses.field(default=None, repr=False)
     samples: np.ndarray | None = dataclasses.field(default=None, repr=False)
     bias: np.ndarray | None = dataclasses.field(default=None, repr=False)
-    bend: np.ndarray | None = dataclasses.field(default=None, repr=False)
+    second_order_sd: np.ndarray | None = dataclasses.field(default=None, repr=False)
 
     @property
     def centre(self) -> Vector:
@@ -173,8 +176,8 @@ class Fit:
             low, high = (float(transform.physical(end)) for end in ends)
             return low, high
         dof = self.dof[i] if isinstance(self.dof, np.ndarray) else self.dof
-        bend = 0.0 if self.bend is None else self.bend[i]
-        reach = half_width(level, np.sqrt(self.covariance[i, i]), bend, dof)
+        second_order_sd = 0.0 if self.second_order_sd is None else self.second_order_sd[i]
+        reach = half_width(level, np.sqrt(self.covariance[i, i]), second_order_sd, dof)
         low, high = self.x[i] - reach, self.x[i] + reach
         return float(transform.physical(low)), float(transform.physical(high))
 

@@ -192,7 +192,7 @@ def _posterior(fit: Fit, draws: np.ndarray, diagnostics: dict, result: str) -> F
         quantities=quantities,
         samples=draws,
         bias=None,
-        bend=None,
+        second_order_sd=None,
         metadata=dict(fit.metadata) | {"sampling": diagnostics},
         result=result,
     )

@@ -42,8 +42,8 @@ def _derived(problem: PhotoProblem, optimum: Optimum):
         return problem.residual(x), jax.tree.map(jnp.log, problem.quantities(x))
 
     relative = jax.tree.map(lambda slope, q: slope / q[..., None], slopes, quantities)
-    bend = curvature(curved, optimum.x, cov, optimum.jacobian, relative)
-    return optimum, cov, quantities, slopes, bend
+    second_order = curvature(curved, optimum.x, cov, optimum.jacobian, relative)
+    return optimum, cov, quantities, slopes, second_order
 
 
 # What a photograph's model may err by to be corrected instead of exchanged.
@@ -171,7 +171,7 @@ def fit_photo(
       from the priors of the constituents; the best is taken.
     - `tolerance`: instead of a transport, the largest relative error of a photograph that it may
       bring: what the closed form gets wrong in readings of charts and open water is corrected by
-      looks at the exact light where it errs by less than half, else the cheapest rung is taken
+      looks at the exact light where it errs by less than half, else the cheapest transport is taken
       that does, see `oceaninv.plan`; what was done, and the error that is left, stand in
       `metadata["plan"]`.
 
@@ -183,7 +183,7 @@ def fit_photo(
     amounts, and the mode of a logarithm is then low by half its variance (Box 1971).  That bias,
     bounded by half a standard deviation, is taken off their values (`Fit.bias`); quantities
     hardly have one and are those of the mode, as are `Fit.x`, the predictions and the middles of
-    intervals, which curvature widens (`Fit.bend`).
+    intervals, which curvature widens (`Fit.second_order_sd`).
 
     Standard deviations of unknowns beside a constituent that may as well be absent are those of
     their profiles along it (`Fit.covariance` is scaled): at such an optimum the ellipsoid takes it
@@ -228,7 +228,7 @@ def fit_photo(
         return scene_at(fit.parameters, fit.x, WAVELENGTH, sun)
 
     demands = [Demand("photograph", photo.depth, photo.response) for photo in photos]
-    # Through a dearer rung a search would take as long as through the exact light.
+    # With a costlier transport a search would take as long as with the exact light.
     fit, chosen = fit_within(tolerance, transport, solve, scene, demands, _CORRIGIBLE)
     if rung(chosen) == rung(EXACT):
         return fit

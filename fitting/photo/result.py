@@ -3,11 +3,11 @@
 import numpy as np
 
 from fitting.core.least_squares import (
-    Bend,
+    SecondOrderError,
     sentence,
 )
 from fitting.core.parameters import Log
-from fitting.core.profile_likelihood import widened
+from fitting.core.profile_likelihood import profile_adjusted_covariance
 from fitting.core.result import Fit, Predictive, amount_bias
 from fitting.observations.photo import WAVELENGTH
 from fitting.photo.problem import PhotoProblem
@@ -30,13 +30,15 @@ def _fitted(readings, residual: np.ndarray, robust) -> np.ndarray:
     return np.concatenate(parts)
 
 
-def _bent(bend: Bend | None, parameters, cov) -> tuple[np.ndarray | None, np.ndarray | None]:
-    """Bias and second-order spread, bounded: second order is not to be trusted further."""
-    if bend is None:
+def _bias_and_second_order_sd(
+    second_order: SecondOrderError | None, parameters, cov
+) -> tuple[np.ndarray | None, np.ndarray | None]:
+    """Bias and second-order standard deviation, bounded: second order is not valid further."""
+    if second_order is None:
         return None, None
     sd = np.sqrt(np.diag(cov))
     amounts = np.array([isinstance(p.transform, Log) and not p.nuisance for p in parameters])
-    return np.where(amounts, amount_bias(sd), 0.0), np.minimum(np.asarray(bend.spread), sd)
+    return np.where(amounts, amount_bias(sd), 0.0), np.minimum(np.asarray(second_order.sd), sd)
 
 
 def _result(
@@ -47,7 +49,7 @@ def _result(
     cov,
     values,
     slopes,
-    bend,
+    second_order,
     *,
     stated: float | None = None,
     factor: float = 1.0,
@@ -61,10 +63,10 @@ def _result(
         ("reading", "channel"),
         "1",
     )
-    quantities, sensitivity = quantities_of(values, slopes, parameters, cov, bend)
-    bias, spread = _bent(bend, parameters, cov)
-    if bend is not None:
-        cov = widened(problem, parameters, optimum.x, cov)
+    quantities, sensitivity = quantities_of(values, slopes, parameters, cov, second_order)
+    bias, second_order_sd = _bias_and_second_order_sd(second_order, parameters, cov)
+    if second_order is not None:
+        cov = profile_adjusted_covariance(problem, parameters, optimum.x, cov)
     jerlov, away = nearest_jerlov(WAVELENGTH, quantities["Kd"])
     count = int(sum(int(one.mask.sum()) for one in readings))
     if stated is None:
@@ -83,7 +85,9 @@ def _result(
             "kd_definition": "mean from the surface to the depth of 10 % light",
             "nearest_jerlov_type": jerlov,
             "nearest_jerlov_rms_ln_kd": away,
-            "values": "mode" if bend is None else "constituents corrected for curvature (Box 1971)",
+            "values": "mode"
+            if second_order is None
+            else "constituents corrected for curvature (Box 1971)",
             "masked_values": sum(photo.masked for photo in photos),
             "readings": count,
             "reduced_chi2": stated,
@@ -92,5 +96,5 @@ def _result(
         sensitivity=sensitivity,
         problem=problem,
         bias=bias,
-        bend=spread,
+        second_order_sd=second_order_sd,
     )

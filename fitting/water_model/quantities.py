@@ -79,36 +79,36 @@ def nearest_jerlov(wavelength: np.ndarray, kd: Quantity) -> tuple[str, float]:
 
 
 def quantities_of(
-    values, slopes, parameters: Parameters, covariance: np.ndarray, bend=None, units=UNITS
+    values, slopes, parameters: Parameters, covariance: np.ndarray, second_order=None, units=UNITS
 ) -> tuple[dict[str, Quantity], dict[str, dict[str, float]]]:
-    """Quantities with standard deviations, and how far each scalar leans on each nuisance.
+    """Quantities with standard deviations, and the sensitivity of each scalar to each nuisance.
 
-    `units`: unit and long name of each.  `bend`: what curvature does
-    (`fitting.core.least_squares.Bend`); its
-    spread, at most that of the linear error, goes into the intervals.  The second: by quantity and
-    nuisance, the relative change of the quantity if the nuisance's prior were centred one spread
-    higher (linearised).
+    `units`: unit and long name of each.  `second_order`: a
+    `fitting.core.least_squares.SecondOrderError`, whose standard deviations, at most those of the
+    linear errors, widen the intervals.  The sensitivity, by quantity and nuisance, is the relative
+    change of the quantity if the nuisance's prior were centred one standard deviation higher
+    (linearised).
     """
-    quantities, leaning = {}, {}
+    quantities, sensitivity = {}, {}
     for name, unit in units.items():
         value, slope = np.asarray(values[name]), np.asarray(slopes[name])
         found = derived_quantity(value, slope, covariance, *unit)
-        if bend is not None:
-            extra = np.minimum(np.asarray(bend.derived[name]), found.sd)
-            found = dataclasses.replace(found, bend=extra)
+        if second_order is not None:
+            extra = np.minimum(np.asarray(second_order.derived[name]), found.sd)
+            found = dataclasses.replace(found, second_order_sd=extra)
         quantities[name] = found
         if value.ndim == 0:
             moved = slope / value @ covariance
-            leaning[name] = {
+            sensitivity[name] = {
                 p.name: float(moved[i] / p.spread)
                 for i, p in enumerate(parameters)
                 if p.nuisance and p.spread is not None
             }
     for i, parameter in enumerate(parameters):
         if not parameter.nuisance:
-            leaning[parameter.name] = {
+            sensitivity[parameter.name] = {
                 p.name: float(covariance[i, j] / p.spread)
                 for j, p in enumerate(parameters)
                 if p.nuisance and p.spread is not None
             }
-    return quantities, leaning
+    return quantities, sensitivity

@@ -15,7 +15,7 @@ from fitting import Background, Chart, Photo
 from fitting.core.least_squares import covariance, curvature, value_and_jacobian
 from fitting.core.likelihood_regions import held, whitening
 from fitting.core.parameters import Parameter, Parameters, Prior
-from fitting.core.profile_likelihood import followed, walk
+from fitting.core.profile_likelihood import profile_adjusted_sd, profile_along
 from fitting.core.result import amount_bias
 from fitting.photo.problem import PhotoProblem, predict_all, prepare, search
 from fitting.water_model.quantities import water_quantities
@@ -133,15 +133,15 @@ class Setup(NamedTuple):
     - `forward` (x) -> (readings (reading, channel), ln quantities); readings of all photographs
       one below the other.
     - `fit` (readings, start, prior) -> a dictionary of numbers; `derive` (x) -> ln quantities.
-    - `problem` (readings, prior) -> the posterior of one draw; `walk` (readings, prior, x, i, by)
-      -> its valley along the unknown i in steps of `by`; `held` (readings, prior, x, target, root)
-      -> its optimum and sum of squares with ln of NAMES held.
+    - `problem` (readings, prior) -> the posterior of one draw; `profile_along` (readings, prior, x,
+      i, by) -> the profile along the unknown i in steps of `by`; `held` (readings, prior, x,
+      target, root) -> its optimum and sum of squares with ln of NAMES held.
     """
 
     parameters: Partly
     noise: float
     problem: Callable
-    walk: Callable
+    profile_along: Callable
     held: Callable
     forward: Callable
     fit: Callable
@@ -207,7 +207,7 @@ def setup(name: str, water: tuple[float, ...] = WATERS["coastal"]) -> Setup:
         def curved(x):
             return posed.residual(x), quantities(x)
 
-        bend = curvature(curved, optimum.x, cov, optimum.jacobian, slope)
+        second_order = curvature(curved, optimum.x, cov, optimum.jacobian, slope)
         sd = jnp.sqrt(jnp.diagonal(cov))
         of_logs = jnp.sqrt(jnp.einsum("qi,ij,qj->q", slope, cov, slope))
         asked = jnp.concatenate([jnp.eye(len(parameters), dtype=cov.dtype)[own], slope])
@@ -220,17 +220,17 @@ def setup(name: str, water: tuple[float, ...] = WATERS["coastal"]) -> Setup:
             "square": jnp.sum(optimum.residual**2),
             "chi2": jnp.sum(optimum.residual**2) / seen.size,
             "bias": amount_bias(sd),
-            "spread": jnp.minimum(bend.spread, sd),
+            "spread": jnp.minimum(second_order.sd, sd),
             "logs": logs,
             "of_logs": of_logs,
-            "derived": jnp.minimum(bend.derived, of_logs),
+            "derived": jnp.minimum(second_order.derived, of_logs),
         }
 
     derive = jax.jit(lambda x: jax.lax.map(quantities, x, batch_size=100))
     # Fits one after the other: side by side, all would take as many steps as the longest.
     fits = jax.jit(lambda *all_: jax.lax.map(lambda one: fit(*one), all_))
     programs = (jax.jit(jax.vmap(forward)), fits, derive)
-    along = jax.jit(lambda seen, prior, x, i, by: walk(problem(seen, prior), x, i, by))
+    along = jax.jit(lambda seen, prior, x, i, by: profile_along(problem(seen, prior), x, i, by))
     scale = np.array([1.0 if p.spread is None else p.spread for p in parameters])
 
     def hold(seen, prior, x, target, root):
@@ -298,9 +298,9 @@ def _stated(made: Setup, seen, prior: Prior, found) -> np.ndarray:
         own = jax.tree.map(lambda row, d=d: row[d], prior)
 
         def along(i, length, d=d, own=own):
-            return made.walk(seen[d], own, found["x"][d], i, np.asarray(length))
+            return made.profile_along(seen[d], own, found["x"][d], i, np.asarray(length))
 
-        sds[d] = followed(along, made.parameters, found["x"][d], sd.copy())
+        sds[d] = profile_adjusted_sd(along, made.parameters, found["x"][d], sd.copy())
     return sds
 
 

@@ -113,11 +113,11 @@ def programs():
         def curved(x):
             return problem.residual(x), quantities(x)
 
-        bend = curvature(curved, optimum.x, cov, optimum.jacobian, slope)
+        second_order = curvature(curved, optimum.x, cov, optimum.jacobian, slope)
         sd = jnp.sqrt(jnp.diagonal(cov))
-        bias, spread = amount_bias(sd), jnp.minimum(bend.spread, sd)
+        bias, spread = amount_bias(sd), jnp.minimum(second_order.sd, sd)
         of_logs = jnp.sqrt(jnp.einsum("qi,ij,qj->q", slope, cov, slope))
-        derived = jnp.minimum(bend.derived, of_logs)
+        derived = jnp.minimum(second_order.derived, of_logs)
         return optimum.x, optimum.code, cov, chi2, bias, spread, logs, of_logs, derived
 
     # Fits one after the other: side by side, all would take as many steps as the longest.

@@ -189,9 +189,9 @@ def test_curvature_gives_the_spread_of_a_quadratic_model():
     _, slopes = value_and_jacobian(lambda x: function(x)[1], x)
     found = curvature(function, x, covariance(jacobian), jacobian, slopes)
     # The spread is estimated from as many directions as there are unknowns: right on average.
-    share = np.asarray(found.spread) / (np.sqrt(2) * np.abs(bend) * size)
+    share = np.asarray(found.sd) / (np.sqrt(2) * np.abs(bend) * size)
     assert np.sqrt(np.mean(share**2)) == pytest.approx(1.0, abs=0.12)
     assert np.all((share > 0.3) & (share < 2.0))
     straight = np.asarray(found.derived["straight"])
-    assert straight == pytest.approx(3 * np.asarray(found.spread)[2], rel=1e-8)
+    assert straight == pytest.approx(3 * np.asarray(found.sd)[2], rel=1e-8)
     assert found.derived["log"] > 0

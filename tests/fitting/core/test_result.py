@@ -90,7 +90,9 @@ def test_the_mode_of_an_amounts_logarithm_is_off_by_its_bias():
 
 def test_the_value_is_the_mode_less_its_bias_and_the_interval_is_about_the_mode():
     one = dataclasses.replace(
-        fit([Parameter("a", 1.0)], [0.3], [0.2]), bias=np.array([-0.05]), bend=np.array([0.1])
+        fit([Parameter("a", 1.0)], [0.3], [0.2]),
+        bias=np.array([-0.05]),
+        second_order_sd=np.array([0.1]),
     )
     assert one.value["a"] == pytest.approx(np.exp(0.35))
     low, high = one.interval("a")

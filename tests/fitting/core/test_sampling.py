@@ -14,7 +14,7 @@ from fitting.core.least_squares import covariance, least_squares
 from fitting.core.likelihood_regions import LikelihoodRegion
 from fitting.core.parameters import Parameters
 from fitting.core.problem import AbstractProblem
-from fitting.core.profile_likelihood import widened
+from fitting.core.profile_likelihood import profile_adjusted_covariance
 from fitting.core.result import Predictive, Quantity
 from tests.acceptance._photo_posterior import region_of
 
@@ -168,7 +168,7 @@ def test_what_may_be_absent_widens_what_shares_with_it():
     sd = np.sqrt(np.diag(cov))
     inside = np.asarray(flat)[loss - loss.min() < chi2.ppf(0.95, 1)][:, 1]
     true = np.max(np.abs(inside - x[1])) / 1.96
-    found = np.sqrt(np.diag(widened(problem, problem.layout, x, cov)))
+    found = np.sqrt(np.diag(profile_adjusted_covariance(problem, problem.layout, x, cov)))
     assert sd[0] > 1
     assert true > 1.3 * sd[1]
     assert found[1] == pytest.approx(true, rel=0.09)
@@ -191,7 +191,7 @@ def test_what_is_seen_badly_reaches_as_far_as_the_longer_side_of_its_profile():
     problem, x = Amount(unknowns), np.zeros(2)
     cov = np.asarray(covariance(jax.jacfwd(problem.residual)(jnp.asarray(x))))
     assert np.sqrt(cov[0, 0]) == pytest.approx(0.3)
-    found = widened(problem, unknowns, x, cov)
+    found = profile_adjusted_covariance(problem, unknowns, x, cov)
     # Its profile: e^x within 1.96 x 0.3 of 1.
     assert np.sqrt(found[0, 0]) == pytest.approx(-np.log(1 - 1.96 * 0.3) / 1.96, rel=0.02)
     assert found[1, 1] == pytest.approx(cov[1, 1])
