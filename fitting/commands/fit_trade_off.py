@@ -13,7 +13,7 @@ import oceaninv as oi
 from fitting.core.result import Fit
 from fitting.observations.profile import Profile
 from fitting.profile.fit_profile import fit_profile
-from oceaninv.fidelity.planning import rung
+from oceaninv.fidelity.planning import model_label
 from oceaninv.foundation.atomic_write import atomic_write, checksum_line, save_figure, with_checksum
 
 TRANSPORTS = (oi.TwoStream(), oi.FourStream(), *(oi.PlaneParallel(n, 1) for n in (4, 8, 16)))
@@ -38,7 +38,7 @@ class FitRow:
 def measure_fits(profile: Profile, repeats: int = 3) -> list[FitRow]:
     """Fits through every transport and at tolerances of 10 and 3 %; the last transport is the
     dearest, with which the others are compared."""
-    ways = [(rung(t), {"transport": t}) for t in TRANSPORTS]
+    ways = [(model_label(t), {"transport": t}) for t in TRANSPORTS]
     ways += [(f"tolerance {100 * t:g} %", {"tolerance": t}) for t in TOLERANCES]
     found = [(name, *_timed(profile, way, repeats)) for name, way in ways]
     _, best, dearest = found[len(TRANSPORTS) - 1]

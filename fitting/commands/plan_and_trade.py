@@ -103,7 +103,7 @@ def _trade_of_scene(
     if inelastic:
         glow = oi.Inelastic(oi.Raman(), oi.ChlorophyllFluorescence())
         scene, title = dataclasses.replace(scene, inelastic=glow), f"{title}, inelastic"
-    with status(f"running the ladder on {path.name}"):
+    with status(f"running the candidate models on {path.name}"):
         trade = measure(scene, file.camera, quantity, repeats, title)
     _print_trade(trade)
     if scene.objects or scene.lamps:
@@ -128,7 +128,7 @@ def _print_trade(trade) -> None:
         )
         table.add_row(row.model, *numbers, "*" if row.best else "")
     Console().print(table)
-    print(f"the reference's own error: {100 * trade.doubt:.2g} %")
+    print(f"the reference's own error: {100 * trade.reference_error:.2g} %")
 
 
 def _trade_of_fit(path: Path, output: Path | None, repeats: int, overwrite: bool) -> None:

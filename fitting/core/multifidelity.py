@@ -1,4 +1,4 @@
-"""Fits that choose their own transport: the cheapest that is good enough for the water found."""
+"""Multifidelity fits: the cheapest transport that is accurate enough for the water found."""
 
 import dataclasses
 from collections.abc import Callable, Sequence
@@ -9,30 +9,34 @@ import numpy as np
 
 import oceaninv as oi
 from fitting.core.result import Fit
-from oceaninv.fidelity.planning import expected_error, rung, sufficient
+from oceaninv.fidelity.planning import expected_error, model_label, sufficient
 from oceaninv.transport.base import AbstractTransport
 
 
-class Demand(NamedTuple):
-    """What a transport must be good for: a quantity of `oceaninv.plan`, a depth and a camera."""
+class AccuracyTarget(NamedTuple):
+    """What a transport must compute accurately.
+
+    - `quantity`: one of those that `oceaninv.plan` knows; `depth`: in m, None for all depths;
+      `response`: of the camera, for photographs.
+    """
 
     quantity: str
     depth: float | None = None
     response: oi.spectrum.Response | None = None
 
 
-def fit_within(
+def multifidelity_fit(
     tolerance: float,
     transport: AbstractTransport | None,
     solve: Callable[[AbstractTransport, np.ndarray | None], Fit],
     scene_of: Callable[[Fit], oi.Scene],
-    demands: Sequence[Demand],
-    corrigible: float = 0.0,
+    targets: Sequence[AccuracyTarget],
+    correctable: float = 0.0,
 ) -> tuple[Fit, AbstractTransport]:
     """A fit through a transport that errs by at most `tolerance`, and that transport.
 
-    The water is found by the cheapest rung, the plan is made for it, and checked again at the
-    optimum of the planned rung: a dearer one follows where that is no longer enough.  Every search
+    The water is found by the cheapest transport, the plan is made for it, and checked again at the
+    optimum of the planned one: a costlier one follows where that is no longer enough.  Every search
     begins where the last one ended.
 
     **Arguments:** `solve`: of a transport and where to begin; `scene_of`: a fit's water and light;
@@ -48,30 +52,30 @@ def fit_within(
     if not 0.0 < tolerance < 1.0:
         raise ValueError(f"tolerance is {tolerance}; it is a relative error between 0 and 1.")
     here: AbstractTransport = oi.TwoStream()
-    fit, tried = solve(here, None), [rung(here)]
+    fit, tried = solve(here, None), [model_label(here)]
     while True:
         scene = scene_of(fit)
         error = max(
             expected_error(scene, here, quantity, depth=depth, response=response)
-            for quantity, depth, response in demands
+            for quantity, depth, response in targets
         )
-        if error <= max(tolerance, corrigible):
+        if error <= max(tolerance, correctable):
             break
-        # As many demands, as many answers: the dearest serves all.
+        # Each target asks for a transport: the most costly serves all.
         better, _ = max(
             (
                 sufficient(scene, tolerance, quantity, depth=depth, response=response)
-                for quantity, depth, response in demands
+                for quantity, depth, response in targets
             ),
-            key=_dearness,
+            key=_cost,
         )
-        if rung(better) in tried:  # the best there is
+        if model_label(better) in tried:  # the best there is
             break
         here = better
         fit = solve(here, np.asarray(fit.x))
-        tried.append(rung(here))
+        tried.append(model_label(here))
     plan = {
-        "transport": rung(here),
+        "transport": model_label(here),
         "tolerance": tolerance,
         "predicted_error": error,
         "tried": tried,
@@ -80,31 +84,33 @@ def fit_within(
     return dataclasses.replace(fit, metadata={**fit.metadata, "plan": plan}), here
 
 
-EXACT = oi.PlaneParallel()  # by which fits within a tolerance are corrected
+# The accurate model that corrects fits within a tolerance.
+EXACT = oi.PlaneParallel()
 
 
-def corrected(
+def corrected_fit(
     fit: Fit,
     exact: AbstractTransport,
-    look: Callable[[np.ndarray], tuple[Any, float]],
+    evaluate: Callable[[np.ndarray], tuple[Any, float]],
     solve: Callable[[np.ndarray, Any], Fit],
 ) -> Fit:
-    """The fit with what its transport gets wrong at its optimum, as the exact one sees it.
+    """The fit with its transport's error at the optimum corrected by an accurate model.
 
-    Noise averages out over samples while the error of a model does not: one of 1 % may move an
-    estimate by more than its interval.  Its ratio to the exact light hardly depends on the water:
-    one evaluation of that, and the cheap search goes on with it, again where the constituents
-    moved by a tenth of their standard deviation or more, at most three times.  The error that is
-    left is by how much the ratio changed between the last two of its looks, the last one after
-    the search.
+    Noise averages out over samples while a model's error does not: one of 1 % may move an estimate
+    by more than its interval.  The ratio of accurate to cheap light hardly depends on the water, so
+    one evaluation of the accurate model gives a multiplicative correction, with which the cheap
+    search continues; again where a constituent moved by a tenth of its standard deviation or more,
+    at most three times.  The remaining error is the largest relative change of the ratio between
+    its last two evaluations, the last one after the search.
 
-    **Arguments:** `look`: of the unknowns, the ratio of `exact` to cheap light in any shape, and
-    the largest share by which it differs from one; `solve`: from where, with which ratio.
+    **Arguments:** `evaluate` (coordinates) -> the ratio of `exact` to cheap light, any tree of
+    arrays, and the largest relative difference of it from one; `solve` (coordinates to start from,
+    ratio) -> the fit.
     """
     asked = np.array([not parameter.nuisance for parameter in fit.parameters])
     sd, plan = np.sqrt(np.diag(fit.covariance)), fit.metadata["plan"]
     passes, moving = 0, True
-    ratio, largest = look(np.asarray(fit.x))
+    ratio, largest = evaluate(np.asarray(fit.x))
     left = largest
     while moving and passes < 3:
         x = np.asarray(fit.x)
@@ -112,12 +118,12 @@ def corrected(
         moving = bool(np.any(np.abs(fit.x - x)[asked] >= 0.1 * sd[asked]))
         passes += 1
         before = ratio
-        ratio, largest = look(np.asarray(fit.x))
+        ratio, largest = evaluate(np.asarray(fit.x))
         changes = jax.tree.map(lambda a, b: np.max(np.abs(a / b - 1.0), initial=0.0), ratio, before)
         left = float(max(jax.tree.leaves(changes)))
     more = {
         "corrections": passes,
-        "corrected_by": rung(exact),
+        "corrected_by": model_label(exact),
         "largest_correction": largest,
         "error_left": left,
         "kept": left <= plan["tolerance"],
@@ -125,7 +131,7 @@ def corrected(
     return dataclasses.replace(fit, metadata={**fit.metadata, "plan": plan | more})
 
 
-def _dearness(found: tuple[AbstractTransport, float]) -> int:
+def _cost(found: tuple[AbstractTransport, float]) -> int:
     transport = found[0]
     if isinstance(transport, oi.PlaneParallel):
         return transport.streams * transport.orders

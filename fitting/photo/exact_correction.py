@@ -1,11 +1,12 @@
-"""A photo fit through a cheap transport, led to the optimum of the exact light.
+"""Refinement of a photo fit through a cheap transport to the optimum of the exact one.
 
-What the exact light makes of a reading over what the cheap one does is known, with its slopes,
-where both were looked at; the cheap search goes on with it.  Constituents that are badly seen move
-far along valleys of nearly equal readings, beyond where the slopes hold: a step counts where the
-misfit to the exact light itself is smaller, else the search is held to where it began (a trust
-region over models of two fidelities; Alexandrov, Lewis, Gumbert, Green & Newman 2001, Journal of
-Aircraft 38:1093).  One look costs a hundredth of a search through the exact light.
+The ratio of exact to cheap prediction of each reading, with its derivatives, is evaluated at a
+point, and the cheap search continues with it.  Poorly determined constituents move far along
+directions of nearly equal readings, beyond where the linear ratio is valid: a step is accepted
+where it lowers the misfit to the exact model itself, else the next search is weighted towards its
+starting point (trust-region model management; Alexandrov, Lewis, Gumbert, Green & Newman 2001,
+Journal of Aircraft 38:1093).  One evaluation of the exact model costs a hundredth of a search
+through it.
 """
 
 import dataclasses
@@ -17,22 +18,22 @@ import numpy as np
 from fitting.core.program_cache import cached_jit
 from fitting.core.result import Fit
 from fitting.photo.problem import Correction, PhotoProblem, predict_all
-from oceaninv.fidelity.planning import rung
+from oceaninv.fidelity.planning import model_label
 from oceaninv.transport.base import AbstractTransport
 
 Ratios = list[np.ndarray]  # by photograph, (reading, channel)
 
-# Searches at most, and the move of all unknowns, in standard deviations, that counts as none.
-_MOST, _STILL = 25, 0.15
+# Searches at most, and the standardised step of all unknowns below which the search has settled.
+_MOST, _SETTLED = 25, 0.15
 # Step of a derivative, in standard deviations.
 _STEP = 0.02
-# Share of the promised decrease of the misfit below which the next search is held more firmly,
-# and above which less; by what factors; and the least hold.
-_POOR, _GOOD, _FIRMER, _LOOSER, _LEAST = 0.3, 0.7, 2.5, 3.0, 0.3
+# Ratio of actual to predicted decrease of the misfit below which the proximal weight rises, and
+# above which it falls; by what factors; and its least value above 0.
+_POOR, _GOOD, _RAISE, _LOWER, _LEAST = 0.3, 0.7, 2.5, 3.0, 0.3
 
 
 def uncorrected(problem: PhotoProblem) -> Correction:
-    """No correction, in the shape of one."""
+    """A correction by factors of one, of the shape of any other."""
     centre = problem.prior.centre
     log = tuple(jnp.zeros_like(one.values) for one in problem.readings)
     slope = tuple(jnp.zeros((*one.shape, *centre.shape), one.dtype) for one in log)
@@ -41,7 +42,7 @@ def uncorrected(problem: PhotoProblem) -> Correction:
 
 
 def exact_ratios(problem: PhotoProblem, x, exact: AbstractTransport) -> Ratios:
-    """What `exact` makes of each reading over what the problem's transport does."""
+    """Prediction of each reading by `exact` over that by the problem's transport."""
     models = (problem.transport, exact)
     cheap, true = (
         predict_all(problem.layout, problem.readings, model, problem.sunlight, jnp.asarray(x))
@@ -62,9 +63,9 @@ def _logs(ratios: Ratios):
 
 
 def tangent(problem: PhotoProblem, x, ratios: Ratios, unit, exact) -> Correction:
-    """The ratios found at `x`, with their slopes.
+    """The ratios at `x` with their derivatives.
 
-    By differences: a program of derivatives of the exact light would take a minute to compile.
+    By differences: derivatives of the exact model would take a minute to compile.
     """
     slopes = []
     for i in range(len(x)):
@@ -80,49 +81,52 @@ def _misfit(problem: PhotoProblem, x):
     return jnp.sum(problem.residual(x) ** 2)
 
 
-def approached(
+def refine_with_exact_model(
     fit: Fit,
     problem: PhotoProblem,
     exact: AbstractTransport,
     search: Callable[[PhotoProblem, np.ndarray], tuple[np.ndarray, np.ndarray]],
     solve: Callable[[np.ndarray, Correction], Fit],
 ) -> Fit:
-    """The fit with what its transport gets wrong, as the exact one sees it at its optimum.
+    """The fit refined to the optimum of the exact model.
 
-    **Arguments:** `problem`: of the fit, with the noise as stated; `search`: of a problem and
-    where to begin, the optimum and its standard deviations; `solve`: the fit from a point with a
-    correction.
+    **Arguments:** `problem`: of the fit, with the noise as stated; `search` (problem, coordinates
+    to start from) -> the optimum and its standard deviations; `solve` (coordinates to start from,
+    correction) -> the fit.
 
-    The result's `metadata["plan"]` says how many searches went on (`corrections`), whether the
-    unknowns stood still at last, and `error_left`: by how much the exact light still differs from
-    what was fitted, in the worst reading.
+    The result's `metadata["plan"]` says how many searches followed (`corrections`), whether the
+    unknowns had settled at the end (`settled`), and `error_left`: the largest relative difference
+    between the exact model and the fitted readings.
     """
     x, unit = np.asarray(fit.x), np.sqrt(np.diag(fit.covariance))
     ratios = exact_ratios(problem, x, exact)
 
-    def exactly(x, ratios):
+    def exact_misfit(x, ratios):
         return float(_misfit(_with(problem, log=_logs(ratios)), jnp.asarray(x)))
 
-    here, hold, searches, still = exactly(x, ratios), 0.0, 0, False
+    here, proximal_weight, searches, settled = exact_misfit(x, ratios), 0.0, 0, False
     correction = tangent(problem, x, ratios, unit, exact)
-    while not still and searches < _MOST:
-        correction = dataclasses.replace(correction, hold=jnp.asarray(hold))
+    while not settled and searches < _MOST:
+        weight = jnp.asarray(proximal_weight)
+        correction = dataclasses.replace(correction, proximal_weight=weight)
         posed = dataclasses.replace(problem, correction=correction)
         new, sd = search(posed, x)
         searches += 1
         seen = exact_ratios(problem, new, exact)
-        promised, there = here - float(_misfit(posed, jnp.asarray(new))), exactly(new, seen)
-        share = (here - there) / max(promised, 1e-9)
-        moved = float(np.max(np.abs(new - x) / unit)) * (1.0 + hold**2)
+        predicted = here - float(_misfit(posed, jnp.asarray(new)))
+        there = exact_misfit(new, seen)
+        share = (here - there) / max(predicted, 1e-9)
+        moved = float(np.max(np.abs(new - x) / unit)) * (1.0 + proximal_weight**2)
         if there <= here:
-            x, ratios, here, still = new, seen, there, moved < _STILL
-            unit = sd if hold == 0.0 else unit
-            if not still:
+            x, ratios, here, settled = new, seen, there, moved < _SETTLED
+            unit = sd if proximal_weight == 0.0 else unit
+            if not settled:
                 correction = tangent(problem, x, ratios, unit, exact)
         if share > _GOOD:
-            hold = hold / _LOOSER if hold > 0.5 * _LEAST else 0.0
+            high = proximal_weight > 0.5 * _LEAST
+            proximal_weight = proximal_weight / _LOWER if high else 0.0
         elif share < _POOR:
-            hold = max(_LEAST, _FIRMER * hold)
+            proximal_weight = max(_LEAST, _RAISE * proximal_weight)
     last = dataclasses.replace(correction, log=_logs(ratios), about=jnp.asarray(x))
     found = solve(x, last)
     seen = exact_ratios(problem, found.x, exact)
@@ -130,8 +134,8 @@ def approached(
     left = max(_largest(a / b) for a, b in zip(seen, fitted, strict=True))
     plan = fit.metadata["plan"] | {
         "corrections": searches,
-        "stood_still": still,
-        "corrected_by": rung(exact),
+        "settled": settled,
+        "corrected_by": model_label(exact),
         "largest_correction": max(map(_largest, seen)),
         "error_left": left,
         "kept": left <= fit.metadata["plan"]["tolerance"],

@@ -16,17 +16,17 @@ from fitting.core.least_squares import (
     curvature,
     value_and_jacobian,
 )
-from fitting.core.multifidelity import EXACT, Demand, fit_within
+from fitting.core.multifidelity import EXACT, AccuracyTarget, multifidelity_fit
 from fitting.core.parameters import Parameter
 from fitting.core.program_cache import cached_jit
 from fitting.core.result import Fit
 from fitting.observations.photo import WAVELENGTH, Photo
-from fitting.photo.exact_correction import approached, uncorrected
+from fitting.photo.exact_correction import refine_with_exact_model, uncorrected
 from fitting.photo.problem import PhotoProblem, prepare, search
 from fitting.photo.result import _result
 from fitting.water_model.quantities import UNITS
 from fitting.water_model.scene_of_fit import scene_at
-from oceaninv.fidelity.planning import rung
+from oceaninv.fidelity.planning import model_label
 from oceaninv.transport.base import AbstractTransport
 
 # Ancillary values: (value, standard deviation) by the name of a parameter or scalar quantity.
@@ -46,26 +46,27 @@ def _derived(problem: PhotoProblem, optimum: Optimum):
     return optimum, cov, quantities, slopes, second_order
 
 
-# What a photograph's model may err by to be corrected instead of exchanged.
-_CORRIGIBLE = 0.5
+# Largest error of a photograph's model that is corrected; above it, the model is replaced.
+_CORRECTABLE = 0.5
 
-# How often the noise is estimated anew, each time with a search from the last optimum.
+# How often the noise is re-estimated, each time with a search from the last optimum.
 _ROUNDS = 2
 
 
-def _excess(problem: PhotoProblem, optimum: Optimum, cov) -> tuple[float, float]:
-    """By what factor readings scatter more about the model than their noise says, 1 where chance
-    explains it (three standard deviations of chi2); and chi2 per reading, priors included.
+def birge_ratio(problem: PhotoProblem, optimum: Optimum, cov) -> tuple[float, float]:
+    """Scatter of the readings about the model over their stated noise, and chi2 per reading.
 
-    What the model lacks (patches that are not what the table says, light that a chart's neighbours
-    colour, a camera that is not linear) shows in the residuals alone: the scatter about the
-    optimum, per degree of freedom, takes the place of the stated noise (Birge 1932, Physical
-    Review 40:207).  Never smaller than stated; with a robust loss, stray readings are seen to.
+    The ratio is 1 where chance explains the scatter (within three standard deviations of chi2) and
+    is never below 1.  What the model lacks (patches that differ from their table, light coloured by
+    a chart's neighbours, a camera that is not linear) shows in the residuals alone: the scatter
+    about the optimum, per degree of freedom, replaces the stated noise (Birge 1932, Physical Review
+    40:207).  With a robust loss the ratio is 1, as that loss deals with stray readings.  chi2 is
+    that of readings and priors.
     """
     size = sum(one.values.size for one in problem.readings)
     residual = np.asarray(optimum.residual)
     count = int(sum(int(one.mask.sum()) for one in problem.readings))
-    # Residuals of pixels hold the determinant of their covariance: no misfit to be counted.
+    # Residuals of pixels contain the determinant of their covariance, which is no misfit.
     plain = all(one.pixels is None for one in problem.readings)
     chi2 = float(np.sum(residual[: None if plain else size] ** 2)) / max(count, 1)
     slope = np.asarray(optimum.jacobian)[:size]
@@ -77,8 +78,8 @@ def _excess(problem: PhotoProblem, optimum: Optimum, cov) -> tuple[float, float]
     return (float(np.sqrt(square)) if square > 1.0 + 3.0 * np.sqrt(2.0 / free) else 1.0), chi2
 
 
-def _noisier(problem: PhotoProblem, factor) -> PhotoProblem:
-    """The same posterior with the noise of every reading taken `factor` times as large."""
+def scale_noise(problem: PhotoProblem, factor) -> PhotoProblem:
+    """The same posterior with `factor` times the noise of every reading."""
     return eqx.tree_at(
         lambda p: [one.sigma for one in p.readings],
         problem,
@@ -108,7 +109,7 @@ def _solve_batch(problems: PhotoProblem):
     return jax.lax.map(lambda p: _derived(p, search(p, p.prior.centre)), problems)
 
 
-def _lanes(stacked: PhotoProblem) -> list:
+def _solved_photographs(stacked: PhotoProblem) -> list:
     """`_derived` of every photograph of a batch."""
     found = jax.tree.map(np.asarray, _solve_batch(stacked))
     count = len(found[0].code)
@@ -209,12 +210,12 @@ def fit_photo(
         begin = _starts(parameters, problem, starts) if start is None else jnp.asarray(start)[None]
         found, stated, factor = _solve(problem, begin), None, 1.0
         for _ in range(_ROUNDS):
-            excess, chi2 = _excess(problem, found[0], found[1])
+            ratio, chi2 = birge_ratio(problem, found[0], found[1])
             stated = chi2 if stated is None else stated
-            if excess == 1.0:
+            if ratio == 1.0:
                 break
-            factor *= excess
-            problem = _noisier(problem, excess)
+            factor *= ratio
+            problem = scale_noise(problem, ratio)
             found = _solve(problem, jnp.broadcast_to(found[0].x, begin.shape))
         return _result(photos, parameters, problem, *found, stated=stated, factor=factor)
 
@@ -227,18 +228,18 @@ def fit_photo(
     def scene(fit):
         return scene_at(fit.parameters, fit.x, WAVELENGTH, sun)
 
-    demands = [Demand("photograph", photo.depth, photo.response) for photo in photos]
+    targets = [AccuracyTarget("photograph", photo.depth, photo.response) for photo in photos]
     # With a costlier transport a search would take as long as with the exact light.
     fit, chosen = fit_within(tolerance, transport, solve, scene, demands, _CORRIGIBLE)
-    if rung(chosen) == rung(EXACT):
+    if model_label(chosen) == model_label(EXACT):
         return fit
 
     def search_again(problem, x):
         optimum, cov, *_ = _solve(problem, jnp.asarray(x)[None])
         return np.asarray(optimum.x), np.sqrt(np.diag(np.asarray(cov)))
 
-    stated = _noisier(fit.problem, 1.0 / fit.metadata["noise_factor"])
-    return approached(fit, stated, EXACT, search_again, lambda x, c: solve(chosen, x, c))
+    stated = scale_noise(fit.problem, 1.0 / fit.metadata["noise_factor"])
+    return refine_with_exact_model(fit, stated, EXACT, search_again, lambda x, c: solve(chosen, x, c))
 
 
 def _starts(parameters, problem: PhotoProblem, count: int) -> Float[Array, "start unknown"]:
@@ -276,19 +277,19 @@ def fit_photos(
     if not made:
         return []
     stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *(problem for _, problem in made))
-    lanes, stated, factors = _lanes(stacked), np.zeros(0), np.ones(len(made))
+    found, stated, factors = _solved_photographs(stacked), np.zeros(0), np.ones(len(made))
     for _ in range(_ROUNDS):
-        seen = [_excess(p, lane[0], lane[1]) for (_, p), lane in zip(made, lanes, strict=True)]
-        excess, chi2 = np.array(seen).T
+        seen = [birge_ratio(p, one[0], one[1]) for (_, p), one in zip(made, found, strict=True)]
+        ratio, chi2 = np.array(seen).T
         stated = stated if len(stated) else chi2
-        if np.all(excess == 1.0):
+        if np.all(ratio == 1.0):
             break
-        factors *= excess
-        made = [(q, _noisier(p, e)) for (q, p), e in zip(made, excess, strict=True)]
-        lanes = _lanes(jax.tree.map(lambda *leaves: jnp.stack(leaves), *(p for _, p in made)))
+        factors *= ratio
+        made = [(q, scale_noise(p, e)) for (q, p), e in zip(made, ratio, strict=True)]
+        found = _solved_photographs(jax.tree.map(lambda *leaves: jnp.stack(leaves), *(p for _, p in made)))
     return [
-        _result([photo], parameters, problem, *lane, stated=float(chi2), factor=float(factor))
-        for photo, (parameters, problem), lane, chi2, factor in zip(
-            photos, made, lanes, stated, factors, strict=True
+        _result([photo], parameters, problem, *one, stated=float(chi2), factor=float(factor))
+        for photo, (parameters, problem), one, chi2, factor in zip(
+            photos, made, found, stated, factors, strict=True
         )
     ]

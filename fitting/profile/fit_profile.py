@@ -5,7 +5,7 @@ import numpy as np
 
 import oceaninv as oi
 from fitting.core.least_squares import sentence
-from fitting.core.multifidelity import EXACT, Demand, corrected, fit_within
+from fitting.core.multifidelity import EXACT, AccuracyTarget, corrected_fit, multifidelity_fit
 from fitting.core.parameters import Log, Parameter, Parameters
 from fitting.core.result import Fit
 from fitting.observations.profile import Profile
@@ -32,7 +32,7 @@ from fitting.water_model.layered_water import (
 from fitting.water_model.quantities import UNITS, quantities_of
 from fitting.water_model.scene_of_fit import scene_at
 from fitting.water_model.unknowns import modelled_bands, water_unknowns
-from oceaninv.fidelity.planning import rung
+from oceaninv.fidelity.planning import model_label
 from oceaninv.transport.base import AbstractTransport
 
 
@@ -108,7 +108,9 @@ def fit_profile(
         def scene(fit):
             return scene_at(fit.parameters, fit.x, profile.wavelength)
 
-        fit, chosen = fit_within(tolerance, transport, solve, scene, [Demand("irradiance")])
+        fit, chosen = multifidelity_fit(
+            tolerance, transport, solve, scene, [AccuracyTarget("irradiance")]
+        )
         return _corrected(fit, chosen, solve, profile)
     if transport is None:
         return kd_fit(
@@ -135,19 +137,19 @@ def _unknowns(window: FitWindow, bands: BandFit, priors) -> Parameters:
 
 
 def _corrected(fit: Fit, transport: AbstractTransport, solve, profile: Profile) -> Fit:
-    """`fitting.core.multifidelity.corrected` by the light at the profile's depths."""
-    if rung(transport) == rung(oi.PlaneParallel(EXACT.streams, 1)):
+    """`fitting.core.multifidelity.corrected_fit` by the light at the profile's depths."""
+    if model_label(transport) == model_label(oi.PlaneParallel(EXACT.streams, 1)):
         return fit
     layout, grid = fit.parameters.layout(), tuple(profile.wavelength.tolist())
     count = len(profile.depth)
     depth = jax.device_put(np.pad(profile.depth, (0, padded_length(count) - count)))
 
-    def look(x):
+    def evaluate(x):
         cheap, true = lights(layout, grid, (transport, EXACT), jax.device_put(x), depth)
         ratio = np.where(np.asarray(cheap) > 0, np.asarray(true) / np.asarray(cheap), 1.0)
         return ratio, float(np.max(np.abs(ratio[:count] - 1.0)))
 
-    return corrected(fit, EXACT, look, lambda x, ratio: solve(transport, x, ratio))
+    return corrected_fit(fit, EXACT, evaluate, lambda x, ratio: solve(transport, x, ratio))
 
 
 def _constituent_fit(cast: Cast, bands, transport, priors, metadata, start=None, ratio=None) -> Fit:

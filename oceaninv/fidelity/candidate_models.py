@@ -1,4 +1,4 @@
-"""The models that `oceaninv trade` runs on a scene, and what each is asked."""
+"""The models that `oceaninv trade` runs on a scene."""
 
 import dataclasses
 from collections.abc import Callable
@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from oceaninv.fidelity.scene_terms import thinned
+from oceaninv.fidelity.scene_terms import scene_at_bands
 from oceaninv.foundation.interface_optics import Rays
 from oceaninv.scene.scene import Scene
 from oceaninv.transport.base import AbstractTransport
@@ -21,12 +21,12 @@ from oceaninv.transport.plane_parallel.plane_parallel import PlaneParallel
 from oceaninv.water.attenuation import kd_lee2005
 from oceaninv.water.iops import IOPs
 
-# (scene, origin, direction, depths) to (ray or depth, wl).
+# A function of (scene, origin, direction, depths) that gives (ray or depth, wl).
 Answer = Callable[[Scene, jax.Array, jax.Array, jax.Array], jax.Array]
 
 
-class Model(NamedTuple):
-    """One way to answer: `pick` are the scene's bands that it computes, all unless given."""
+class CandidateModel(NamedTuple):
+    """A model to be measured; `pick`: the bands of the scene that it computes, default all."""
 
     name: str
     answer: Answer
@@ -34,8 +34,8 @@ class Model(NamedTuple):
     pick: tuple[int, ...] | None = None
 
 
-def through(transport: AbstractTransport, quantity: str) -> Answer:
-    """The answer of a transport."""
+def answer_of_transport(transport: AbstractTransport, quantity: str) -> Answer:
+    """The function that computes a quantity by a transport."""
 
     def answer(scene, origin, direction, depths):
         key = jax.random.key(0)
@@ -46,31 +46,34 @@ def through(transport: AbstractTransport, quantity: str) -> Answer:
     return answer
 
 
-def references(scene: Scene, quantity: str) -> tuple[Model, Model]:
-    """A converged model, and a poorer one whose difference from it says how converged."""
+def references(scene: Scene, quantity: str) -> tuple[CandidateModel, CandidateModel]:
+    """A converged model, and a coarser one whose difference from it estimates its error."""
     generations = 1 if scene.inelastic is None else 3
     orders = 1 if quantity == "irradiance" else None
     made = (PlaneParallel(n, orders, generations) for n in (28, 22))
-    first, second = (Model(_name(t), through(t, quantity)) for t in made)
+    first, second = (CandidateModel(_name(t), answer_of_transport(t, quantity)) for t in made)
     return first, second
 
 
-def ladder(scene: Scene, quantity: str) -> list[Model]:
-    """Everything that may answer, from the printed closure to random walks."""
+def candidate_models(scene: Scene, quantity: str) -> list[CandidateModel]:
+    """All models to be measured, from the Kd closure as printed to random walks."""
     flux = quantity == "irradiance"
     closed = [KdTransport(), TwoStream(), FourStream()]
     dials = ((4, 1), (8, 1), (16, 1)) if flux else ((4, 4), (8, 6), (16, 8), (16, 16))
     exact = [PlaneParallel(streams, orders) for streams, orders in dials]
     if scene.inelastic is not None:
         exact.insert(2, PlaneParallel(8, 1 if flux else 6, generations=2))
-    models = [Model(_name(t), through(t, quantity)) for t in (*closed, *exact)]
+    models = [CandidateModel(_name(t), answer_of_transport(t, quantity)) for t in (*closed, *exact)]
     if not flux:
-        models.insert(0, Model("printed closure", _printed))
+        models.insert(0, CandidateModel("printed closure", _printed_kd_closure))
     single = (TwoStream(), FourStream(), exact[1])
-    models += [Model(f"{_name(t)}, float32", through(t, quantity), "float32") for t in single]
+    models += [
+        CandidateModel(f"{_name(t)}, float32", answer_of_transport(t, quantity), "float32")
+        for t in single
+    ]
     walks = ((2**12, 32), (2**16, 32)) if flux else ((2**6, 4), (2**6, 32), (2**10, 32))
     models += [
-        Model(_name(t), through(t, quantity))
+        CandidateModel(_name(t), answer_of_transport(t, quantity))
         for t in (MonteCarlo(paths, bounces) for paths, bounces in walks)
     ]
     if not flux and scene.inelastic is None:
@@ -82,23 +85,29 @@ def ladder(scene: Scene, quantity: str) -> list[Model]:
     return models
 
 
-def _few_bands(scene: Scene, quantity: str) -> list[Model]:
+def _few_bands(scene: Scene, quantity: str) -> list[CandidateModel]:
     count = len(scene.wavelength)
     models = []
     for fewer, transport in ((3, TwoStream()), (6, TwoStream()), (6, PlaneParallel(8, 6))):
         if fewer < count:
             pick = np.unique(np.linspace(0, count - 1, fewer).round().astype(int))
             name = f"{_name(transport)}, {len(pick)} bands"
-            models.append(Model(name, _thin(through(transport, quantity), pick), pick=tuple(pick)))
+            models.append(
+                CandidateModel(
+                    name,
+                    _at_bands(answer_of_transport(transport, quantity), pick),
+                    pick=tuple(pick),
+                )
+            )
     return models
 
 
-def _thin(answer: Answer, pick: np.ndarray) -> Answer:
-    return lambda scene, *points: answer(thinned(scene, pick), *points)
+def _at_bands(answer: Answer, pick: np.ndarray) -> Answer:
+    return lambda scene, *points: answer(scene_at_bands(scene, pick), *points)
 
 
-def _one_layer(scene: Scene, quantity: str) -> list[Model]:
-    """The layer in which most of the scene happens, in place of all."""
+def _one_layer(scene: Scene, quantity: str) -> list[CandidateModel]:
+    """Models that put the uppermost layer in place of all layers."""
 
     def top(answer):
         def first(scene, *points):
@@ -107,22 +116,26 @@ def _one_layer(scene: Scene, quantity: str) -> list[Model]:
         return first
 
     return [
-        Model(f"{_name(t)}, upper layer alone", top(through(t, quantity))) for t in _three(quantity)
+        CandidateModel(f"{_name(t)}, upper layer alone", top(answer_of_transport(t, quantity)))
+        for t in _three(quantity)
     ]
 
 
-def _elastic(quantity: str) -> list[Model]:
+def _elastic(quantity: str) -> list[CandidateModel]:
     def bare(answer):
         def without(scene, *points):
             return answer(dataclasses.replace(scene, inelastic=None), *points)
 
         return without
 
-    return [Model(f"{_name(t)}, elastic", bare(through(t, quantity))) for t in _three(quantity)]
+    return [
+        CandidateModel(f"{_name(t)}, elastic", bare(answer_of_transport(t, quantity)))
+        for t in _three(quantity)
+    ]
 
 
 def _three(quantity: str) -> tuple[AbstractTransport, ...]:
-    """One of each kind."""
+    """One transport of each kind."""
     exact = PlaneParallel(8, 1 if quantity == "irradiance" else 6)
     return TwoStream(), FourStream(), exact
 
@@ -136,12 +149,13 @@ def _name(transport: AbstractTransport) -> str:
     return type(transport).__name__
 
 
-def _printed(scene: Scene, origin, direction, depths):
-    """Radiance by the closure of Monzon et al. 2024 as printed, single scattering apart."""
+def _printed_kd_closure(scene: Scene, origin, direction, depths):
+    """Radiance by the Kd closure of Monzon et al. 2024 as printed, without a separate term for
+    single scattering."""
     del depths
     water = scene.water
     if not isinstance(water, IOPs):
-        raise ValueError("the printed closure knows one water only.")
+        raise ValueError("the printed closure solves one homogeneous water, not layers.")
     mu0, beam = scene.beam()
     kd = kd_lee2005(water.a, water.bb, scene.light.zenith)
     surface = mu0 * beam

@@ -1,11 +1,11 @@
-"""What each rung of the ladder is expected to get wrong, fitted to random scenes.
+"""The expected error of each candidate transport, fitted to random scenes.
 
-The logarithm of a rung's error in one band is a smooth function of nine cheap numbers of the water
-and the light: a plane, and Gaussians about bands of random scenes that are spread over all that
-occur (a Gaussian process with few inducing points; Quinonero-Candela & Rasmussen 2005).  That of a
-scene is the worst or the mean over bands, plus a margin with which plans for scenes that a fit had
-not seen kept their tolerance in 96 % or more.  `tests/acceptance/plan.py` fits the numbers, and
-tests them on scenes of another seed.
+The logarithm of a transport's error in one band is a smooth function of nine cheap numbers of the
+water and the light: a plane, plus Gaussians about bands that represent all random scenes (a
+Gaussian process with few inducing points; Quinonero-Candela & Rasmussen 2005).  The error of a
+scene is the maximum or the mean over its bands, plus a margin.  With this margin, plans for scenes
+that were not used in the fit kept their tolerance in 96 % of cases or more.
+`tests/acceptance/plan.py` fits the numbers and tests them on scenes of another seed.
 """
 
 import csv
@@ -25,11 +25,11 @@ DATA = Path(__file__).with_name("errors.csv")
 CENTRES = Path(__file__).with_name("centres.csv")
 WIDTH = 3.0  # of a Gaussian, in spreads
 LEVEL = np.log(100.0)  # irradiance counts down to the 1 % level
-LEAST = 5e-4  # errors below it are not told apart
+ERROR_FLOOR = 5e-4  # added to each error before its logarithm is fitted
 
 
 class Bands(NamedTuple):
-    """Cheap numbers of a water under a light, each (wl,) unless said."""
+    """Cheap numbers of a water under a light; arrays are (wl,)."""
 
     a: np.ndarray
     b: np.ndarray
@@ -40,8 +40,8 @@ class Bands(NamedTuple):
     light: np.ndarray  # Ed(0-)
 
 
-class Model(NamedTuple):
-    """The error of one rung: coefficients of the features, and the margin in ln."""
+class ErrorModel(NamedTuple):
+    """The error of one transport: coefficients of the features, and the margin of ln(error)."""
 
     coefficients: np.ndarray
     margin: float
@@ -58,35 +58,36 @@ def concrete(value, name: str) -> np.ndarray:
         ) from error
 
 
-class Look(NamedTuple):
-    """One water of a scene, and where it is looked at: (wl,) m, see `depths_of`."""
+class ObservedWater(NamedTuple):
+    """One water of a scene, and the depths at which its light is asked for: (wl,) m, as
+    `depths_of` gives them."""
 
     bands: Bands
     at: np.ndarray
 
-    def of(self, pick: np.ndarray) -> "Look":
-        """Some of the bands."""
+    def select(self, pick: np.ndarray) -> "ObservedWater":
+        """The same for some of the bands."""
         a, b, bb, cosine, sky, kd, light = self.bands
         some = Bands(a[pick], b[pick], bb[pick], cosine, sky[pick], kd[pick], light[pick])
-        return Look(some, self.at[pick])
+        return ObservedWater(some, self.at[pick])
 
 
-def looks(
-    scene: Scene, quantity: str, depth: float | None, known: Sequence[Look] = ()
-) -> list[Look]:
+def observed_waters(
+    scene: Scene, quantity: str, depth: float | None, known: Sequence[ObservedWater] = ()
+) -> list[ObservedWater]:
     """One for each water of a scene; `known`: those of the same waters under another light."""
     waters = (scene.water,) if isinstance(scene.water, IOPs) else scene.water.iops
-    optics = [look.bands[:3] for look in known] or map(_optics, waters)
-    parts = [_lit(scene, *three) for three in optics]
-    return [Look(bands, depths_of(bands, scene, quantity, depth)) for bands in parts]
+    optics = [one.bands[:3] for one in known] or map(_absorption_and_scattering, waters)
+    parts = [_band_numbers(scene, *three) for three in optics]
+    return [ObservedWater(bands, depths_of(bands, scene, quantity, depth)) for bands in parts]
 
 
 def bands_of(scene: Scene, water: IOPs) -> Bands:
-    """The numbers that everything here is made of, in numpy: nothing to compile."""
-    return _lit(scene, *_optics(water))
+    """The numbers from which the features are computed, in numpy, so that nothing compiles."""
+    return _band_numbers(scene, *_absorption_and_scattering(water))
 
 
-def _optics(water: IOPs) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _absorption_and_scattering(water: IOPs) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """a, b and bb."""
     a = concrete(water.a_components, "the water").sum(axis=0)
     rows = concrete(water.b_components, "the water")
@@ -94,8 +95,8 @@ def _optics(water: IOPs) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return a, rows.sum(axis=0), ratios @ rows
 
 
-def _lit(scene: Scene, a: np.ndarray, b: np.ndarray, bb: np.ndarray) -> Bands:
-    # Attributes of modules are slow to look up, and a plan must cost little beside one cheap run.
+def _band_numbers(scene: Scene, a: np.ndarray, b: np.ndarray, bb: np.ndarray) -> Bands:
+    # Attribute access on modules is slow, and a plan must cost little beside one cheap run.
     light, surface = scene.light, scene.surface
     direct, diffuse = concrete(light.direct, "the light"), light.diffuse
     cosine = float(np.cos(np.radians(concrete(light.zenith, "the light"))))
@@ -125,13 +126,13 @@ def _backscatter(phase: AbstractPhase) -> float:
 
 @functools.lru_cache(maxsize=256)
 def _ratio(tree, leaves: tuple[tuple[tuple[int, ...], bytes], ...]) -> float:
-    """Backscatter ratio of a phase function taken apart: waters share them, choices recur."""
+    """Backscatter ratio of a flattened phase function, cached because scenes share them."""
     arrays = [np.frombuffer(content).reshape(shape) for shape, content in leaves]
     return float(backscatter_ratio_of(jax.tree.unflatten(tree, arrays)))
 
 
 def floor_reach(bands: Bands, scene: Scene, depth: np.ndarray) -> np.ndarray:
-    """(wl,) light that the floor sends back to `depth`, per downward light there."""
+    """(wl,) light that the floor reflects back to `depth`, over the downward light there."""
     if scene.floor is None:
         return np.zeros_like(bands.a)
     bottom = float(concrete(scene.floor.depth, "the floor"))
@@ -140,13 +141,13 @@ def floor_reach(bands: Bands, scene: Scene, depth: np.ndarray) -> np.ndarray:
 
 
 def features(bands: Bands, scene: Scene, depth: np.ndarray) -> np.ndarray:
-    """(wl, feature) for light looked at from `depth` (wl,) m, or down to it."""
+    """(wl, feature) for light seen from `depth` (wl,) m, or computed down to it."""
     x = cheap_numbers(bands, scene, depth)
     return np.concatenate([np.ones((len(x), 1)), x, gaussians(x, centres())], axis=1)
 
 
 def cheap_numbers(bands: Bands, scene: Scene, depth: np.ndarray) -> np.ndarray:
-    """(wl, 9) numbers of which errors are functions, about 0 and of spread 1."""
+    """(wl, 9) inputs of the error models, scaled to a mean of about 0 and a spread of about 1."""
     b = np.maximum(bands.b, 1e-12)
     w = b / (bands.a + b)
     below = np.inf if scene.floor is None else float(concrete(scene.floor.depth, "the floor"))
@@ -164,7 +165,7 @@ def cheap_numbers(bands: Bands, scene: Scene, depth: np.ndarray) -> np.ndarray:
     return (np.stack(base, axis=1) - _MIDDLE) / _SPREAD
 
 
-# About the mean and the standard deviation of the cheap numbers over random scenes.
+# Approximate mean and standard deviation of the cheap numbers over random scenes.
 _MIDDLE = np.array([0.7, -1.0, -4.0, 1.2, 0.1, 2.0, -4.0, 0.8, 0.7])
 _SPREAD = np.array([0.25, 1.0, 0.5, 0.15, 0.15, 1.5, 0.8, 1.2, 1.6])
 
@@ -177,38 +178,41 @@ def gaussians(x: np.ndarray, about: np.ndarray) -> np.ndarray:
 
 @functools.cache
 def centres() -> np.ndarray:
-    """(centre, 9) cheap numbers of bands that are spread over all that occur."""
+    """(centre, 9) cheap numbers of bands that represent all random scenes."""
     return np.loadtxt(CENTRES, delimiter=",", comments="#", ndmin=2)
 
 
 @functools.cache
-def _covered() -> float:
-    """The least that a Gaussian about the nearest centre is in scenes like those of the fit.
+def _calibration_limit() -> float:
+    """The smallest value of the Gaussian about the nearest centre that is within calibration.
 
-    Every band there lies as near to a centre as the two nearest centres to one another; here half
-    as far again counts as alike.
+    No band of the calibration scenes is farther from a centre than the two closest centres are
+    from each other.  Bands up to 1.5 times that distance away count as within calibration.
     """
     about = centres()
     squares = ((about[:, None, :] - about) ** 2).sum(axis=2) + np.diag(np.full(len(about), np.inf))
     return float(np.exp(-0.5 * (1.5 / WIDTH) ** 2 * squares.min()))
 
 
-def unlike(views: list["View"]) -> bool:
-    """Whether some band has numbers far from those of all bands in which errors were measured."""
+def out_of_calibration_range(waters: list["WaterFeatures"]) -> bool:
+    """Whether the numbers of some band are far from those of all calibration scenes."""
     count = len(centres())
-    return any(float(rows[:, -count:].max(axis=1).min()) < _covered() for _, rows in views)
+    return any(
+        float(rows[:, -count:].max(axis=1).min()) < _calibration_limit() for _, rows in waters
+    )
 
 
-View = tuple[Look, np.ndarray]  # and its features
+WaterFeatures = tuple[ObservedWater, np.ndarray]  # and its features
 
 
-def views(scene: Scene, found: list[Look]) -> list[View]:
-    """Looks with their features, which are the same for every rung."""
-    return [(look, features(look.bands, scene, look.at)) for look in found]
+def features_of_waters(scene: Scene, found: list[ObservedWater]) -> list[WaterFeatures]:
+    """The waters with their features, which are the same for every transport."""
+    return [(one, features(one.bands, scene, one.at)) for one in found]
 
 
 def depths_of(bands: Bands, scene: Scene, quantity: str, depth: float | None) -> np.ndarray:
-    """(wl,) where the light is looked at, m: to the 1 % level or the floor, or the eye's depth."""
+    """(wl,) depth at which the light is asked for, m: the 1 % level or the floor, whichever is
+    shallower, or the depth of the eye."""
     deepest = LEVEL / bands.kd
     if scene.floor is not None:
         deepest = np.minimum(deepest, float(concrete(scene.floor.depth, "the floor")))
@@ -218,7 +222,7 @@ def depths_of(bands: Bands, scene: Scene, quantity: str, depth: float | None) ->
 
 
 def weights_of(bands: Bands, depth: np.ndarray, channels: np.ndarray) -> np.ndarray:
-    """(channel, wl) share of each band in what a channel sees, roughly."""
+    """(channel, wl) approximate share of each band in the signal of a channel."""
     seen = bands.light * np.exp(-np.minimum(bands.kd * depth, 50.0)) * bands.bb
     seen = seen / np.maximum(bands.a + bands.bb, 1e-300)
     part = np.abs(channels) * seen[None, :]
@@ -226,32 +230,32 @@ def weights_of(bands: Bands, depth: np.ndarray, channels: np.ndarray) -> np.ndar
 
 
 def combine(log_error: np.ndarray, bands: Bands, depth, quantity: str, channels) -> float:
-    """ln of a scene's error from that of its bands."""
+    """ln of the error of a scene from those of its bands."""
     if quantity == "photograph":
         return float(np.log(np.max(weights_of(bands, depth, channels) @ np.exp(log_error))))
     if quantity == "radiance":
-        # Bands that have less than 1 % of their light there are not looked at.
+        # Bands with less than 1 % of their light at that depth are ignored.
         lit = bands.kd * depth <= 1.05 * LEVEL
         log_error = log_error[lit] if lit.any() else log_error
     return float(np.max(log_error))
 
 
 @functools.cache
-def models() -> dict[tuple[str, str], Model]:
-    """By quantity and rung, as `repr` writes it."""
+def error_models() -> dict[tuple[str, str], ErrorModel]:
+    """The error models by quantity and label of the transport (`model_label`)."""
     found = {}
     with DATA.open(newline="") as file:
         for row in csv.reader(line for line in file if not line.startswith("#")):
             margin, seconds, *coefficients = (float(x) for x in row[2:])
-            found[row[0], row[1]] = Model(np.array(coefficients), margin, seconds)
+            found[row[0], row[1]] = ErrorModel(np.array(coefficients), margin, seconds)
     return found
 
 
-def predicted(quantity: str, rung: str, views: list[View], channels) -> float:
-    """The expected error of the worst layer, with its margin."""
-    model = models()[quantity, rung]
+def predicted(quantity: str, model_label: str, waters: list[WaterFeatures], channels) -> float:
+    """The expected error in the worst layer, margin included."""
+    model = error_models()[quantity, model_label]
     worst = 0.0
-    for (bands, at), rows in views:
+    for (bands, at), rows in waters:
         scene_error = combine(rows @ model.coefficients, bands, at, quantity, channels)
         worst = max(worst, float(np.exp(np.clip(scene_error + model.margin, -16.0, 3.0))))
     return worst

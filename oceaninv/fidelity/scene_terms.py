@@ -1,4 +1,4 @@
-"""Which terms of a scene contribute less than a share of the tolerance, by cheap bounds."""
+"""Cheap bounds on the terms of a scene: which contribute less than a share of the tolerance."""
 
 import dataclasses
 
@@ -17,7 +17,11 @@ from oceaninv.water.iops import IOPs, Layers
 
 @dataclasses.dataclass(frozen=True)
 class Term:
-    """`bound`: what the term contributes at most, relative; `kept`; `why`: a sentence."""
+    """A term of a scene.
+
+    `kept`: whether it stays in the scene; `bound`: the largest relative contribution; `why`: a
+    sentence.
+    """
 
     kept: bool
     bound: float
@@ -26,15 +30,15 @@ class Term:
 
 def reduced_scene(
     scene: Scene, share: float, quantity: str, depth: float | None
-) -> tuple[Scene, list[errors.Look], dict[str, Term]]:
-    """The scene without what contributes less than `share`, how its waters are looked at, and a
-    term for each thing it has."""
+) -> tuple[Scene, list[errors.ObservedWater], dict[str, Term]]:
+    """The scene without the terms that contribute less than `share`, its waters at the depths that
+    are asked for, and a `Term` for each part of the scene."""
     terms: dict[str, Term] = {}
     water = scene.water
     if isinstance(water, Layers):
         water, terms["layers"] = _merged(scene, water, share)
         scene = _with(scene, water=water)
-    found = errors.looks(scene, quantity, depth)
+    found = errors.observed_waters(scene, quantity, depth)
     if scene.floor is not None:
         bound = max(_floor_bound(bands, at, scene, quantity) for bands, at in found)
         terms["floor"] = _judged("floor", bound, share)
@@ -56,11 +60,12 @@ def reduced_scene(
         light = _with(light, diffuse=None, sky=None)
     floor = None if "floor" in dropped else scene.floor
     scene = _with(scene, light=light, floor=floor, inelastic=inelastic)
-    return scene, errors.looks(scene, quantity, depth, found), terms
+    return scene, errors.observed_waters(scene, quantity, depth, found), terms
 
 
 def _with(module, **changes):
-    """A module with other parts, which are not checked again: that takes a quarter of a plan."""
+    """A module with some fields replaced.  The checks of its constructor, which take a quarter of
+    the time of a plan, are left out."""
     made = object.__new__(type(module))
     for name, value in {**vars(module), **changes}.items():
         object.__setattr__(made, name, value)
@@ -74,10 +79,11 @@ def _judged(name: str, bound: float, share: float) -> Term:
 
 
 def _floor_bound(bands: errors.Bands, depth, scene: Scene, quantity: str) -> float:
-    """Light from the floor, and water missing below it, over the light that is asked for.
+    """Light from the floor, and light missing because there is no water below it, over the light
+    that is asked for.
 
-    Ed feels them through a second scattering and the surface from below; a line of sight down to
-    the floor sees them beside the water's own reflectance.
+    They change Ed by a second scattering and by reflection at the surface from below; a line of
+    sight down to the floor sees them in addition to the water's own reflectance.
     """
     reach = errors.floor_reach(bands, scene, depth)
     bottom = float(errors.concrete(scene.floor.depth, "the floor")) if scene.floor else np.inf
@@ -89,7 +95,8 @@ def _floor_bound(bands: errors.Bands, depth, scene: Scene, quantity: str) -> flo
 
 
 def _merged(scene: Scene, layers: Layers, share: float) -> tuple[IOPs | Layers, Term]:
-    """One water in place of layers whose optical depths differ by less than `share` of e."""
+    """One water in place of layers, if the optical depth of the mixture differs from that of the
+    layers by less than `share` at every depth."""
     parts = [errors.bands_of(scene, one) for one in layers.iops]
     edges = errors.concrete(layers.interfaces, "the layers")
     deepest = max(float(np.max(errors.LEVEL / bands.kd)) for bands in parts)
@@ -121,7 +128,7 @@ def _merged(scene: Scene, layers: Layers, share: float) -> tuple[IOPs | Layers, 
     return water, Term(False, bound, f"optical depths differ by {bound:.2g}, merged into one")
 
 
-def _inelastic(inelastic: Inelastic, water: IOPs, found: list[errors.Look], share: float):
+def _inelastic(inelastic: Inelastic, water: IOPs, found: list[errors.ObservedWater], share: float):
     """The processes that add more than `share` to the downward light of some band."""
     kept, terms = {}, {}
     for name in ("raman", "chlorophyll", "cdom"):
@@ -137,9 +144,9 @@ def _inelastic(inelastic: Inelastic, water: IOPs, found: list[errors.Look], shar
 
 
 def _emitted(matrix: np.ndarray, bands: errors.Bands, depth: np.ndarray) -> float:
-    """Largest ratio of emitted to other downward light, over bands, at their depths.
+    """Largest ratio, over bands at their depths, of emitted to other downward light.
 
-    Scalar irradiance counts as twice Ed, all that is emitted as travelling down.
+    Scalar irradiance is taken as twice Ed, and all emitted light as travelling down.
     """
     worst = 0.0
     for i in range(len(bands.a)):
@@ -151,44 +158,44 @@ def _emitted(matrix: np.ndarray, bands: errors.Bands, depth: np.ndarray) -> floa
     return worst
 
 
-def reduced_bands(scene: Scene, share: float, response: Response, look: errors.Look):
-    """The fewest bands, evenly picked, that keep every channel within `share`.
+def reduced_bands(scene: Scene, share: float, response: Response, water: errors.ObservedWater):
+    """The fewest evenly spaced bands that keep every channel within `share`.
 
-    Judged on a guess of the spectrum that is seen.  Returns the scene, the numbers of the bands
-    that are left, the term and the (channel, wl) weights.
+    The error is computed for a guess of the spectrum seen.  Returns the scene, the indices of the
+    remaining bands, the term and the (channel, wl) weights.
     """
-    bands, at = look
+    bands, at = water
     seen = bands.light * np.exp(-np.minimum(bands.kd * np.min(at), 50.0))
     seen = seen * bands.bb / np.maximum(bands.a + bands.bb, 1e-300)
     wavelength, count = scene.wavelength, len(scene.wavelength)
     weights = channel_weights(response, wavelength)
     full = weights @ seen
-    # Inelastic light comes from bands that a camera may not see.
+    # Inelastic light may come from bands that the camera does not see.
     for fewer in range(3, count if scene.inelastic is None else 0):
         pick = np.unique(np.linspace(0, count - 1, fewer).round().astype(int))
-        thin = channel_weights(response, wavelength[pick])
-        error = float(np.max(np.abs(thin @ seen[pick] / full - 1.0)))
+        fewer_weights = channel_weights(response, wavelength[pick])
+        error = float(np.max(np.abs(fewer_weights @ seen[pick] / full - 1.0)))
         if error <= share:
             why = f"{len(pick)} of {count} change a channel by {100 * error:.2g} %"
-            return thinned(scene, pick), pick, Term(False, error, why), thin
+            return scene_at_bands(scene, pick), pick, Term(False, error, why), fewer_weights
     return scene, np.arange(count), Term(True, 1.0, f"all {count} are needed"), weights
 
 
 def channel_weights(response: Response, wavelength: np.ndarray) -> np.ndarray:
-    """(channel, wl) `response.weights`, without compiling."""
+    """(channel, wl) as `response.weights`, but without compiling."""
     values = errors.concrete(response.values, "the camera's response")
     return values @ hat_overlap(response.samples, tuple(wavelength.tolist()))
 
 
-def thinned(scene: Scene, pick: np.ndarray) -> Scene:
-    """The scene on some of its bands; things and lamps are left out."""
+def scene_at_bands(scene: Scene, pick: np.ndarray) -> Scene:
+    """The scene with some of its bands; objects and lamps are left out."""
 
     def thin(spectra):
         if spectra is None:
             return None
         if isinstance(spectra, jax.core.Tracer):
             return spectra[..., pick]
-        # By numpy and device_put, unlike by jnp, nothing is compiled for every count of bands.
+        # numpy and device_put, unlike jnp, compile nothing for each count of bands.
         return jax.device_put(np.asarray(spectra)[..., pick])
 
     def water(one: IOPs) -> IOPs:

@@ -1,10 +1,11 @@
-"""Error against time: every model of a scene."""
+"""Error against processor time of every candidate model of a scene."""
 
 import csv
 import dataclasses
 import io
 import re
 import time
+import warnings
 from pathlib import Path
 
 import equinox as eqx
@@ -12,7 +13,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from oceaninv.fidelity.candidate_models import Model, ladder, references
+from oceaninv.fidelity.candidate_models import CandidateModel, candidate_models, references
 from oceaninv.foundation.atomic_write import atomic_write, checksum_line, save_figure, with_checksum
 from oceaninv.scene.camera import Camera
 from oceaninv.scene.scene import Scene
@@ -25,7 +26,8 @@ LONGEST = 20.0  # processor seconds after which a model is not run again
 
 @dataclasses.dataclass(frozen=True)
 class Row:
-    """One model: processor `seconds` per run, compilation apart; `error` as of `oceaninv.plan`."""
+    """One model: processor `seconds` per run, without compilation; `error` as `oceaninv.plan`
+    defines it; `best`: no other model is both faster and more accurate."""
 
     model: str
     seconds: float
@@ -36,44 +38,49 @@ class Row:
 
 @dataclasses.dataclass(frozen=True)
 class Trade:
-    """Rows of one scene, fastest first, and the error of the reference itself."""
+    """Rows of one scene, fastest first, and the estimated error of the reference."""
 
     title: str
     quantity: str
     reference: str
-    doubt: float
+    reference_error: float
     rows: tuple[Row, ...]
+
+    @property
+    def doubt(self) -> float:
+        """The former name of `reference_error`."""
+        warnings.warn("doubt is now reference_error.", DeprecationWarning, stacklevel=2)
+        return self.reference_error
 
 
 def measure(
     scene: Scene, camera: Camera, quantity: str = "photograph", repeats: int = 7, title=""
 ) -> Trade:
-    """Every model of the ladder on one scene.
+    """Measure every candidate model on one scene.
 
-    Water, light, surface, floor and inelastic light: things and lamps are left out.  The reference
-    is PlaneParallel with 28 streams and its error the difference to 22.  `best`: no other model is
-    both faster and better.
+    Water, light, surface, floor and inelastic light are kept; objects and lamps are left out.  The
+    reference is PlaneParallel with 28 streams; its error is the difference from 22 streams.
     """
     if quantity not in ("irradiance", "radiance", "photograph"):
         raise ValueError(f"quantity is {quantity!r}; choose from irradiance, radiance, photograph.")
     scene = dataclasses.replace(scene, objects=(), lamps=())
-    judge = _Judge(scene, camera, quantity)
+    benchmark = _Benchmark(scene, camera, quantity)
     first, second = references(scene, quantity)
-    truth, *_ = judge.run(first, 0)
-    doubt = judge.error(judge.run(second, 0)[0], truth)
+    truth, *_ = benchmark.run(first, 0)
+    reference_error = benchmark.error(benchmark.run(second, 0)[0], truth)
     rows = []
-    for model in ladder(scene, quantity):
+    for model in candidate_models(scene, quantity):
         try:
-            value, seconds, compiled = judge.run(model, repeats)
+            value, seconds, compiled = benchmark.run(model, repeats)
         except ValueError:  # a model that does not solve this scene
             continue
-        error = judge.error(np.asarray(value, float), truth, model.pick)
+        error = benchmark.error(np.asarray(value, float), truth, model.pick)
         rows.append(Row(model.name, seconds, compiled, error))
-    return Trade(title, quantity, first.name, doubt, _front(rows))
+    return Trade(title, quantity, first.name, reference_error, _pareto_front(rows))
 
 
-def _front(rows: list[Row]) -> tuple[Row, ...]:
-    """Fastest first, those marked that nothing beats in both."""
+def _pareto_front(rows: list[Row]) -> tuple[Row, ...]:
+    """The rows, fastest first; `best` marks those that no other beats in both time and error."""
     front, least = [], np.inf
     for row in sorted(rows, key=lambda row: (row.seconds, row.error)):
         front.append(dataclasses.replace(row, best=row.error < least))
@@ -81,8 +88,8 @@ def _front(rows: list[Row]) -> tuple[Row, ...]:
     return tuple(front)
 
 
-class _Judge:
-    """Runs a model on the scene's sample of rays or depths."""
+class _Benchmark:
+    """Runs models on a sample of the scene's rays or depths and compares their results."""
 
     def __init__(self, scene: Scene, camera: Camera, quantity: str):
         self.scene, self.quantity, self.response = scene, quantity, camera.response
@@ -96,16 +103,16 @@ class _Judge:
             deepest = min(deepest, float(scene.floor.depth))
         self.depths = jnp.linspace(0.1, 1.0, DEPTHS) * deepest
 
-    def run(self, model: Model, repeats: int):
-        """Value, median processor seconds (of fewer runs where they are long), and those of
-        compilation."""
+    def run(self, model: CandidateModel, repeats: int):
+        """Value, median processor seconds of `repeats` runs (fewer where runs are long), and
+        processor seconds of compilation."""
 
         def cast(leaf):
             floating = jnp.issubdtype(leaf.dtype, jnp.inexact)
             return leaf.astype(model.precision) if floating else leaf
 
         scene, *points = jax.tree.map(cast, (self.scene, self.origin, self.direction, self.depths))
-        # Phase functions stay constants, as they are in a fit; all else is an argument.
+        # Phase functions are constants of the program, as in a fit; everything else is an argument.
         varied, fixed = eqx.partition(scene, _all_but_phases(scene))
 
         def answer(varied, origin, direction, depths):
@@ -123,7 +130,7 @@ class _Judge:
         return np.asarray(value), float(np.median(seconds or [np.nan])), compiled
 
     def error(self, value: np.ndarray, truth: np.ndarray, pick=None) -> float:
-        """As `oceaninv.plan` defines it; `pick`: the bands that were computed."""
+        """The error as `oceaninv.plan` defines it; `pick`: the bands that were computed."""
         if self.quantity == "photograph":
             bands = self.scene.wavelength
             weights = np.asarray(self.response.weights(bands))
@@ -154,7 +161,7 @@ _PROGRAMS: dict[str, tuple] = {}
 
 
 def _compiled(lowered) -> tuple:
-    """The program and its seconds of compilation; scenes that are alike share one."""
+    """The program and its seconds of compilation; scenes of the same structure share one."""
     text = lowered.as_text()
     if text not in _PROGRAMS:
         start = time.process_time()
@@ -164,7 +171,7 @@ def _compiled(lowered) -> tuple:
 
 
 def how_to_choose(trades: list[Trade], tolerances=(0.3, 0.1, 0.03, 0.01)) -> str:
-    """A table: the model within each tolerance that takes the least processor time, by scene."""
+    """A table by scene: the model that keeps each tolerance in the least processor time."""
     head = " | ".join(f"{100 * t:g} %" for t in tolerances)
     lines = [
         f"| scene | quantity | {head} | reference's own error |",
@@ -178,17 +185,17 @@ def how_to_choose(trades: list[Trade], tolerances=(0.3, 0.1, 0.03, 0.01)) -> str
             cells.append("none" if fast is None else f"{fast.model}, {1e3 * fast.seconds:.2g} ms")
         lines.append(
             f"| {trade.title} | {trade.quantity} | {' | '.join(cells)} | "
-            f"{100 * trade.doubt:.2g} % |"
+            f"{100 * trade.reference_error:.2g} % |"
         )
     return "\n".join(lines) + "\n"
 
 
 def save_rows(path: Path, trade: Trade, *, overwrite: bool = False) -> None:
-    """The rows as csv."""
+    """Write the rows as csv."""
     file = io.StringIO()
     file.write(
         f"# {trade.title}: {trade.quantity}; error of the reference {trade.reference} itself: "
-        f"{trade.doubt:.2g}\n# {checksum_line()}\n"
+        f"{trade.reference_error:.2g}\n# {checksum_line()}\n"
     )
     writer = csv.writer(file, lineterminator="\n")
     writer.writerow(("model", "seconds", "compile_seconds", "error", "best"))
@@ -200,9 +207,9 @@ def save_rows(path: Path, trade: Trade, *, overwrite: bool = False) -> None:
 
 
 def load_rows(path: Path) -> Trade:
-    """What `save_rows` wrote."""
+    """Read what `save_rows` wrote."""
     head, *lines = path.read_text().splitlines()
-    title, quantity, reference, doubt = _HEAD.fullmatch(head).groups()  # pyright: ignore
+    title, quantity, reference, reference_error = _HEAD.fullmatch(head).groups()  # pyright: ignore
     rows = tuple(
         Row(
             row["model"],
@@ -213,14 +220,14 @@ def load_rows(path: Path) -> Trade:
         )
         for row in csv.DictReader(line for line in lines if not line.startswith("#"))
     )
-    return Trade(title, quantity, reference, float(doubt), rows)
+    return Trade(title, quantity, reference, float(reference_error), rows)
 
 
 _HEAD = re.compile(r"# (.*): (\w+); error of the reference (.*) itself: (.*)")
 
 
 def draw_rows(path: Path, trade: Trade, *, overwrite: bool = False) -> None:
-    """Error against time, log-log; models that another beats in both are grey."""
+    """Draw error against time, log-log; models that another beats in both are grey."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -236,12 +243,12 @@ def draw_rows(path: Path, trade: Trade, *, overwrite: bool = False) -> None:
         axes.annotate(
             row.model,
             (row.seconds, row.error),
-            xytext=(5, (3, -9, 13, -19)[i % 4]),  # neighbours often err alike
+            xytext=(5, (3, -9, 13, -19)[i % 4]),  # neighbours often have similar errors
             textcoords="offset points",
             fontsize=7,
             color="0.2" if row.best else "0.6",
         )
-    axes.axhspan(0.0, max(trade.doubt, 1e-12), color="0.9", zorder=0)
+    axes.axhspan(0.0, max(trade.reference_error, 1e-12), color="0.9", zorder=0)
     axes.margins(x=0.15)
     axes.set(xscale="log", yscale="log", xlabel="processor seconds per run", ylabel="error")
     title = f"{trade.title}: {trade.quantity}"

@@ -12,7 +12,7 @@ from tests.acceptance import _plan_scenes as scenes
 QUANTITIES = planning.QUANTITIES
 TOLERANCES = (0.1, 0.03, 0.01)
 # Least share of plans to be kept at each tolerance in scenes that a fit has not seen; the second
-# where it costs no more than the first, by the median over the cheapest rung that does.
+# where it costs no more than the first, by the median over the cheapest transport that does.
 KEPT, FOLDS = (0.96, 0.985), 5
 CENTRES, RIDGE = 240, 0.1
 # Errors above what is expected weigh this much, those below it the rest: that an error passes
@@ -37,13 +37,14 @@ def key_of(quantity: str) -> str:
 
 
 class Sample:
-    """One quantity of many scenes: features of their bands, and what each rung errs by."""
+    """One quantity of many scenes: features of their bands, and what each transport errs by."""
 
     def __init__(self, found, all_cases, quantity: str):
         key = key_of(quantity)
         self.cases = all_cases = all_cases[key]
-        truth, lit, _ = found[key, planning.rung(scenes.REFERENCES[key])]
-        self.quantity, self.names = quantity, [planning.rung(r) for r in planning.LADDERS[quantity]]
+        truth, lit, _ = found[key, planning.model_label(scenes.REFERENCES[key])]
+        self.quantity = quantity
+        self.names = [planning.model_label(r) for r in planning.CANDIDATES[quantity]]
         self.bands = [bands for *_, bands in all_cases]
         self.at = [errors.depths_of(bands, this, quantity, eye) for this, eye, bands in all_cases]
         self.rows = np.stack(
@@ -54,15 +55,15 @@ class Sample:
         )
         self.use = lit if key == "radiance" else np.ones_like(lit)
         self.target, self.true, self.cost = {}, {}, {}
-        # Models are made of all that was run; plans choose from the quantity's ladder.
-        self.known = [planning.rung(r) for r in scenes.RUNS[key]]
+        # Models are made of all that was run; plans choose from the quantity's candidates.
+        self.known = [planning.model_label(r) for r in scenes.RUNS[key]]
         for name in self.known:
             value, _, self.cost[name] = found[key, name]
-            self.target[name] = np.log(by_band(value, truth, quantity) + errors.LEAST)
+            self.target[name] = np.log(by_band(value, truth, quantity) + errors.ERROR_FLOOR)
             self.true[name] = scenes.errors(value, truth, lit, quantity)
 
     def solve(self, name: str, training: np.ndarray) -> np.ndarray:
-        """Coefficients of one rung from some of the scenes."""
+        """Coefficients of one transport from some of the scenes."""
         use = self.use & training[:, None]
         prior = _prior()
         x, y = self.rows[use] @ prior, self.target[name][use]
@@ -113,7 +114,7 @@ def spread_centres(all_cases) -> np.ndarray:
 
 
 def margins(sample: Sample) -> dict[str, float]:
-    """By rung: a quantile of what errors exceed their expectation by, of one share for all rungs:
+    """By transport: a quantile of what errors exceed their expectation by, one share for all:
     see `KEPT`."""
     expected = {name: sample.unseen(name) for name in sample.known}
     found, price = {}, np.inf
@@ -130,15 +131,15 @@ def margins(sample: Sample) -> dict[str, float]:
 
 
 def quantiles(sample: Sample, expected, share: float) -> dict[str, float]:
-    """By rung: what a share of the scenes' errors exceed their expectation by at most."""
-    excess = {n: np.log(sample.true[n] + errors.LEAST) - e for n, e in expected.items()}
+    """By transport: what a share of the scenes' errors exceed their expectation by at most."""
+    excess = {n: np.log(sample.true[n] + errors.ERROR_FLOOR) - e for n, e in expected.items()}
     return {n: float(np.quantile(e, share)) for n, e in excess.items()}
 
 
 class Outcome(NamedTuple):
     """What became of plans: shares of promised plans that are kept, of plans that are promised,
-    and of scenes in which some rung of the ladder keeps the tolerance that the chosen one does;
-    cost over the cheapest rung of the ladder that does, median and mean, and over the cheapest of
+    and of scenes in which some candidate keeps the tolerance that the chosen one does;
+    cost over the cheapest candidate that does, median and mean, and over the cheapest of
     all that was tried, median."""
 
     word: float
@@ -150,7 +151,7 @@ class Outcome(NamedTuple):
 
 
 def outcome(sample: Sample, expected, margin, tolerance: float) -> Outcome:
-    """Of plans with these expectations and margins, by rung."""
+    """Of plans with these expectations and margins, by transport."""
     raised = np.stack([expected[n] + margin[n] for n in sample.names])
     promised = raised <= np.log(tolerance)
     some = promised.any(axis=0)
@@ -159,7 +160,7 @@ def outcome(sample: Sample, expected, margin, tolerance: float) -> Outcome:
 
 
 def judged(sample: Sample, chosen: list[str], promised: np.ndarray, tolerance: float) -> Outcome:
-    """Of one rung chosen for each scene."""
+    """Of one transport chosen for each scene."""
     kept = np.array([sample.true[n][i] <= tolerance for i, n in enumerate(chosen)])
     cost = np.array([sample.cost[name] for name in chosen])
     least = {}
@@ -178,27 +179,27 @@ def judged(sample: Sample, chosen: list[str], promised: np.ndarray, tolerance: f
     )
 
 
-def fit(found, all_cases) -> dict[tuple[str, str], errors.Model]:
-    """Error models of every rung."""
+def fit(found, all_cases) -> dict[tuple[str, str], errors.ErrorModel]:
+    """Error models of every transport."""
     models = {}
     for quantity in QUANTITIES:
         sample = Sample(found, all_cases, quantity)
         everything = np.ones(len(sample.rows), bool)
         for name, margin in margins(sample).items():
             coefficients = sample.solve(name, everything)
-            models[quantity, name] = errors.Model(coefficients, margin, sample.cost[name])
+            models[quantity, name] = errors.ErrorModel(coefficients, margin, sample.cost[name])
     return models
 
 
 def write(models) -> None:
     lines = [
-        "# title: What each rung of the ladder errs by: coefficients of the features of a band",
+        "# title: Errors of the candidate transports: coefficients of the features of a band",
         "# source: fitted to random scenes by python -m tests.acceptance.plan fit",
-        "# columns: quantity, rung, margin (ln), seconds per scene, coefficients",
+        "# columns: quantity, transport, margin (ln), seconds per scene, coefficients",
     ]
-    for (quantity, rung), model in models.items():
+    for (quantity, transport), model in models.items():
         numbers = [f"{v:.6g}" for v in (model.margin, model.seconds, *model.coefficients)]
-        lines.append(",".join([quantity, f'"{rung}"', *numbers]))
+        lines.append(",".join([quantity, f'"{transport}"', *numbers]))
     errors.DATA.write_text("\n".join(lines) + "\n")
 
 

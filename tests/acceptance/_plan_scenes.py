@@ -1,4 +1,4 @@
-"""Random scenes for `plan`, and what every rung of the ladder says of them.
+"""Random scenes for `plan`, and what every candidate transport says of them.
 
 Waters of the default bio-optical model, log-uniform over chlorophyll 0.01-30 mg/m3, CDOM 0.001-5 /m
 and detritus 0.001-5 /m; sun 0-75 degrees in air, half the time with a sky that sends up to half of
@@ -27,7 +27,7 @@ WAVELENGTH = np.linspace(400.0, 700.0, 8)
 REFERENCES = {"irradiance": oi.PlaneParallel(64, 1), "radiance": oi.PlaneParallel(64, 40)}
 DIRECTIONS, CHUNK = 20, 10
 # What plan() may choose for water alone; photographs are made of radiance.
-RUNS = {quantity: planning.LADDERS[quantity] for quantity in ("irradiance", "radiance")}
+RUNS = {quantity: planning.CANDIDATES[quantity] for quantity in ("irradiance", "radiance")}
 
 
 class Draw(eqx.Module):
@@ -130,36 +130,38 @@ def levels(this: oi.Scene, p: Draw):
 
 
 @functools.partial(eqx.filter_jit)
-def _answers(chunk: Draw, rung, quantity: str, together: bool = False):
+def _answers(chunk: Draw, transport, quantity: str, together: bool = False):
     """`together`: irradiance of all bands at the depths of one, as people ask for it."""
 
     def one(p):
         this = scene(p, quantity)
         depths, eye, lit = levels(this, p)
         if together:
-            return oi.irradiance(this, depths.max(axis=1), rung).Ed.value
+            return oi.irradiance(this, depths.max(axis=1), transport).Ed.value
         if quantity == "irradiance":
             # Every band at its own depths: the solution is shared.
-            every = jax.vmap(lambda z: oi.irradiance(this, z, rung).Ed.value, in_axes=1, out_axes=2)
+            every = jax.vmap(
+                lambda z: oi.irradiance(this, z, transport).Ed.value, in_axes=1, out_axes=2
+            )
             field = every(depths)
             return jnp.stack([field[:, i, i] for i in range(field.shape[1])], axis=1), lit
         origin = jnp.zeros_like(p.views).at[:, 2].set(eye)
-        return oi.radiance(this, oi.Rays(origin, p.views), rung).value, lit
+        return oi.radiance(this, oi.Rays(origin, p.views), transport).value, lit
 
     return jax.lax.map(one, chunk)
 
 
-def answers(draws: Draw, rung, quantity: str):
-    """(scene, row, wl) values and (scene, wl) lit of one rung, and processor seconds per scene."""
+def answers(draws: Draw, transport, quantity: str):
+    """(scene, row, wl) values, (scene, wl) lit and processor seconds per scene of a transport."""
     count, flux = draws.depth.shape[0], quantity == "irradiance"
     out, seconds = [], []
     for first in range(0, count, CHUNK):
         index = jnp.arange(first, first + CHUNK) % count
         chunk = jax.tree.map(lambda v, i=index: v[i], draws)
         if flux:
-            out.append(jax.tree.map(np.asarray, _answers(chunk, rung, quantity)))
+            out.append(jax.tree.map(np.asarray, _answers(chunk, transport, quantity)))
         start = time.process_time()
-        found = jax.tree.map(np.asarray, _answers(chunk, rung, quantity, flux))
+        found = jax.tree.map(np.asarray, _answers(chunk, transport, quantity, flux))
         seconds.append((time.process_time() - start) / CHUNK)
         if not flux:
             out.append(found)
@@ -174,7 +176,7 @@ def channels(first: int) -> np.ndarray:
 
 
 def errors(value, truth, lit, quantity: str) -> np.ndarray:
-    """(scene,) error of a rung in the sense of the quantity."""
+    """(scene,) error of a transport in the sense of the quantity."""
     relative = np.abs(value / truth - 1.0)
     if quantity == "irradiance":
         return relative.max(axis=(1, 2))

@@ -5,7 +5,7 @@
 The committed table is of 28 of the 52 cameras of rawtoaces-data, in one csv; without it, of the
 cameras that come with the project.
 
-Spectra: the radiance that the two-stream rung sends along 60 lines of sight of all directions in
+Spectra: the radiance that the two-stream model sends along 60 lines of sight of all directions in
 the six waters and depths of Monzon et al. 2024, table 2 (floor, surface, sun and sky as in
 scenes/three_spheres.toml).  Each camera's channels become XYZ by its matrix fitted to ColorChecker
 patches in daylight and CIELAB by a white card under the surface's light; the difference is that

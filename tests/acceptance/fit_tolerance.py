@@ -121,7 +121,7 @@ def main():
     import oceaninv as oi
     from fitting import fit_photo, fit_profile
     from fitting.core.multifidelity import EXACT
-    from oceaninv.fidelity.planning import rung
+    from oceaninv.fidelity.planning import model_label
 
     kinds = {"profile": (fit_profile, profiles), "photo": (fit_photo, photographs)}
     dials = [word for word in sys.argv[1:] if word not in kinds]
@@ -133,7 +133,7 @@ def main():
             f"# Fits within {100 * TOLERANCE:g} % beside the full model: {kind}\n",
             f"`python -m tests.acceptance.fit_tolerance {' '.join([kind, *dials])}`.  Shifts of "
             "chlorophyll, CDOM and detritus from the higher mode of the full model "
-            f"(`{rung(exact)}`, which corrects the cheap fit, too), and from the mode "
+            f"(`{model_label(exact)}`, which corrects the cheap fit, too), and from the mode "
             "that it finds from the priors' centres, in its standard deviations; by how much "
             "|residual|^2 is lower at the mode it finds from the cheap fit's end; processor "
             "seconds of a fit, compilation apart; searches with corrections, and the "

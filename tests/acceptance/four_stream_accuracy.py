@@ -1,4 +1,4 @@
-"""Four-stream and two-stream against the exact rung over random waters.
+"""Four-stream and two-stream against the exact model over random waters.
 
     python -m tests.acceptance.four_stream_accuracy [irradiance]
 
@@ -25,7 +25,7 @@ import numpy as np
 import oceaninv as oi
 
 COUNT, DEPTHS = 120, 6
-RUNGS = {"TwoStream": oi.TwoStream(), "FourStream": oi.FourStream()}
+MODELS = {"TwoStream": oi.TwoStream(), "FourStream": oi.FourStream()}
 TRUTH = oi.PlaneParallel(streams=20)
 
 
@@ -61,15 +61,15 @@ def scene(albedo, g, zenith, floor_depth):
 
 @eqx.filter_jit
 def solved(transport, parameters, directions, with_floor: bool):
-    """Radiance (water, ray) and Ed, Eu (water, depth) on a ladder of depths."""
+    """Radiance (water, ray) and Ed, Eu (water, depth) on a grid of depths."""
 
     def one(albedo, g, zenith, floor_depth, z):
         this = scene(albedo, g, zenith, floor_depth if with_floor else None)
         origin = jnp.zeros_like(directions).at[:, 2].set(z)
         light = oi.radiance(this, oi.Rays(origin, directions), transport).value[:, 0]
-        ladder = jnp.linspace(0.05, 0.95, DEPTHS)
-        ladder = ladder * (floor_depth if with_floor else 4.6 / (1.0 - 0.9 * albedo))
-        field = oi.irradiance(this, ladder, transport)
+        grid = jnp.linspace(0.05, 0.95, DEPTHS)
+        grid = grid * (floor_depth if with_floor else 4.6 / (1.0 - 0.9 * albedo))
+        field = oi.irradiance(this, grid, transport)
         return light, field.Ed.value[:, 0], field.Eu.value[:, 0]
 
     return jax.lax.map(lambda p: one(*p), parameters)
@@ -93,7 +93,7 @@ def table(count: int = COUNT) -> str:
     away = from_sun(parameters[2], directions) > 10.0
     arrays = tuple(jnp.asarray(p) for p in parameters)
     lines = [
-        "# Four-stream against the exact rung\n",
+        "# Four-stream against the exact model\n",
         f"`python -m tests.acceptance.four_stream_accuracy`: {count} waters, {len(directions)} "
         "directions beyond 10 degrees of the refracted sun; truth PlaneParallel(streams=20).  "
         "Median / 90th percentile of the |relative error|.\n",
@@ -102,15 +102,15 @@ def table(count: int = COUNT) -> str:
     ]
     for with_floor in (False, True):
 
-        def fields(rung, with_floor=with_floor):
-            found = solved(rung, arrays, jnp.asarray(directions), with_floor)
+        def fields(model, with_floor=with_floor):
+            found = solved(model, arrays, jnp.asarray(directions), with_floor)
             return [np.asarray(x) for x in found]
 
         exact = fields(TRUTH)
         bright = exact[1] > 0.01 * exact[1][:, :1]
-        for name, rung in RUNGS.items():
+        for name, model in MODELS.items():
             found = [
-                np.asarray(x) for x in solved(rung, arrays, jnp.asarray(directions), with_floor)
+                np.asarray(x) for x in solved(model, arrays, jnp.asarray(directions), with_floor)
             ]
             errors = [
                 np.abs(f / e - 1)[keep]
@@ -157,8 +157,8 @@ def irradiances(transport, kinds, parameters, surface: bool, floor: bool):
         light = oi.Light(zenith, jnp.ones(1), sun * sky / (1.0 - sky) / jnp.pi)
         below = oi.Floor(depth, reflectance[None]) if floor else None
         this = oi.Scene(water, light, oi.FlatSurface() if surface else None, below)
-        ladder = jnp.linspace(0.0, 1.0, 10) * 4.6 / (1.0 - 0.9 * albedo)
-        field = oi.irradiance(this, jnp.minimum(ladder, depth) if floor else ladder, transport)
+        grid = jnp.linspace(0.0, 1.0, 10) * 4.6 / (1.0 - 0.9 * albedo)
+        field = oi.irradiance(this, jnp.minimum(grid, depth) if floor else grid, transport)
         return [e.value[:, 0] for e in (field.Ed, field.Eu, field.E0)]
 
     return jax.lax.map(lambda p: one(*p), parameters)
@@ -167,7 +167,7 @@ def irradiances(transport, kinds, parameters, surface: bool, floor: bool):
 def irradiance_table(count: int = 300) -> str:
     """Errors to the 1 % level, by how much the light is scattered."""
     parameters, surface, floor = many_waters(count)
-    errors, kinds = {name: [] for name in RUNGS}, phases()
+    errors, kinds = {name: [] for name in MODELS}, phases()
     albedos = []
     for choice in ((s, f) for s in (True, False) for f in (True, False)):
         kept = (surface == choice[0]) & (floor == choice[1])
@@ -175,8 +175,8 @@ def irradiance_table(count: int = 300) -> str:
         exact = np.array(irradiances(TRUTH, kinds, some, *choice))
         bright = exact[0] > 0.01 * exact[0][:, :1]
         albedos.append(np.broadcast_to(parameters[0][kept][:, None], bright.shape)[bright])
-        for name, rung in RUNGS.items():
-            found = np.array(irradiances(rung, kinds, some, *choice))
+        for name, model in MODELS.items():
+            found = np.array(irradiances(model, kinds, some, *choice))
             errors[name].append((found / exact - 1)[:, bright])
     albedo = np.concatenate(albedos)
     lines = [

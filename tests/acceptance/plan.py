@@ -1,4 +1,4 @@
-"""Does `oceaninv.plan` keep its word?  Random scenes, every rung tried on each.
+"""Does `oceaninv.plan` keep its word?  Random scenes, every transport tried on each.
 
     python -m tests.acceptance.plan fit [FOLDER]
     python -m tests.acceptance.plan [FOLDER]
@@ -6,9 +6,9 @@
 The first fits the error models and their margins on the scenes `CALIBRATION`, writes
 oceaninv/fidelity/errors.csv and centres.csv, and how plans for scenes of folds left out fare in
 plan_calibration.md.  The second plans the scenes `TEST` of another seed at tolerances of 10, 3
-and 1 %, compares with what each rung really errs by and costs, prints the table and writes plan.md
-beside this file.  What the rungs say is kept in FOLDER, if one is given, from which a run that was
-cut off goes on.  Seeded; about forty minutes of one core, and eight.
+and 1 %, compares with the true error and cost of each transport, prints the table and writes it to
+plan.md beside this file.  The results of the transports are kept in FOLDER, if one is given; an interrupted
+run continues from there.  Seeded; about forty minutes of one core, and eight.
 """
 
 import functools
@@ -33,7 +33,7 @@ TIMED = 40  # scenes
 
 
 def collected(sets, folder: Path | None):
-    """By quantity and rung: values, lit bands and seconds, of scenes of several seeds."""
+    """By quantity and transport: values, lit bands and seconds, of scenes of several seeds."""
     parts = [collect(scenes.draw(count, seed), f"{count}_{seed}", folder) for count, seed in sets]
     found = {}
     for key in parts[0]:
@@ -43,16 +43,16 @@ def collected(sets, folder: Path | None):
 
 
 def collect(draws, name: str, folder: Path | None):
-    """The same of one seed; the reference among the rungs."""
+    """The same of one seed; the reference among the transports."""
     found = {}
-    for quantity, ladder in scenes.RUNS.items():
-        for rung in (scenes.REFERENCES[quantity], *ladder):
-            key = quantity, planning.rung(rung)
+    for quantity, candidates in scenes.RUNS.items():
+        for transport in (scenes.REFERENCES[quantity], *candidates):
+            key = quantity, planning.model_label(transport)
             file = folder and folder / f"{name}_{'_'.join(key)}.npz"
             if file and file.exists():
                 found[key] = tuple(np.load(file).values())
                 continue
-            found[key] = scenes.answers(draws, rung, quantity)
+            found[key] = scenes.answers(draws, transport, quantity)
             if file:
                 np.savez(file, *found[key])
             print(*key, f"{1e3 * found[key][2]:.3g} ms", flush=True)
@@ -86,14 +86,14 @@ def crossed(found, all_cases) -> str:
         "per quantity whose excess over the expected error they cover, are common to all: the "
         f"fewest that keep {100 * models.KEPT[0]:g} % at every tolerance, or "
         f"{100 * models.KEPT[1]:g} % where that costs no more.  Kept: of "
-        "promised plans, and of scenes in which some rung of the ladder keeps the tolerance.\n",
+        "promised plans, and of scenes in which some candidate keeps the tolerance.\n",
         *_HEAD,
     ]
     frontier = [
         "\nWhat margins buy: the least share kept over the three tolerances, of promised plans "
-        "and of scenes in which some rung does, and the median cost over the cheapest sufficient "
-        "rung at 10 / 3 / 1 %, on the ladder and of all that was tried.\n",
-        "| quantity | excess covered | kept | cost, ladder | cost, all |",
+        "and of scenes in which some transport does, and the median cost over the cheapest "
+        "sufficient transport at 10 / 3 / 1 %, of the candidates and of all that was tried.\n",
+        "| quantity | excess covered | kept | cost, candidates | cost, all |",
         "|---|---|---|---|---|",
     ]
     for quantity in models.QUANTITIES:
@@ -117,7 +117,7 @@ def crossed(found, all_cases) -> str:
 
 _HEAD = (
     "| quantity | tolerance | kept, where promised | promised | kept, where possible | "
-    "cost / cheapest of the ladder, median (mean) | cost / cheapest of all, median |",
+    "cost / cheapest of the candidates, median (mean) | cost / cheapest of all, median |",
     "|---|---|---|---|---|---|---|",
 )
 
@@ -133,14 +133,14 @@ def table(found, all_cases, draws) -> str:
     lines = [
         "# plan() against exhaustive trial\n",
         f"`python -m tests.acceptance.plan`: {TEST[0]} random scenes of seed {TEST[1]}, never "
-        "looked at before (error models, margins and the choice of rungs: other scenes, "
+        "looked at before (error models, margins and the choice of transports: other scenes, "
         "`python -m tests.acceptance.plan fit`, plan_calibration.md).  Chlorophyll "
         "0.01-30 mg/m3, CDOM and detritus 0.001-5 /m, sun 0-75 degrees, sky in half, depth "
         "0.5-40 m, floor in half; eight bands of 400-700 nm, of radiance every second one.  Truth: "
-        f"{' and '.join(planning.rung(t) for t in scenes.REFERENCES.values())}.  Cost: processor "
-        "seconds per scene of the compiled program, over the cheapest rung that keeps the "
-        "tolerance, of the ladder and of all that was tried; among scenes in which one does "
-        "(possible).  Where nothing is promised the rung that comes nearest is run.\n",
+        f"{' and '.join(map(planning.model_label, scenes.REFERENCES.values()))}.  Cost: processor "
+        "seconds per scene of the compiled program, over the cheapest transport that keeps the "
+        "tolerance, of the candidates and of all that was tried; among scenes in which one does "
+        "(possible).  Where nothing is promised the transport that comes nearest is run.\n",
         f"{_HEAD[0]} kept of all | chosen |",
         f"{_HEAD[1]}---|---|",
     ]
@@ -154,17 +154,17 @@ def table(found, all_cases, draws) -> str:
 
 
 def _rungs(found, all_cases) -> list[str]:
-    """What each rung errs by, and costs."""
+    """What each transport errs by, and costs."""
     lines = [
-        "\nWhat each rung errs by on these scenes, median / 95th percentile, and costs:\n",
-        "| rung | irradiance | radiance | photograph | ms per scene |",
+        "\nWhat each transport errs by on these scenes, median / 95th percentile, and costs:\n",
+        "| transport | irradiance | radiance | photograph | ms per scene |",
         "|---|---|---|---|---|",
     ]
     samples = {
         quantity: models.Sample(found, all_cases, quantity) for quantity in models.QUANTITIES
     }
-    for key, ladder in scenes.RUNS.items():
-        for name in map(planning.rung, ladder):
+    for key, candidates in scenes.RUNS.items():
+        for name in map(planning.model_label, candidates):
             cells = {}
             for quantity, sample in samples.items():
                 here = models.key_of(quantity) == key
@@ -179,9 +179,9 @@ def _row(sample: models.Sample, tolerance: float) -> str:
     """What became of the plans at one tolerance."""
     chosen, promised = [], []
     for i, (this, eye, _) in enumerate(sample.cases):
-        views = errors.views(this, errors.looks(this, sample.quantity, eye))
+        views = errors.features_of_waters(this, errors.observed_waters(this, sample.quantity, eye))
         found = planning.choose(this, tolerance, sample.quantity, views, scenes.channels(i % 2))
-        chosen.append(planning.rung(found[0]))
+        chosen.append(planning.model_label(found[0]))
         promised.append(found[1] <= tolerance)
     outcome = models.judged(sample, chosen, np.array(promised), tolerance)
     of_all = np.mean([sample.true[n][i] <= tolerance for i, n in enumerate(chosen)])
@@ -193,14 +193,14 @@ def _row(sample: models.Sample, tolerance: float) -> str:
 
 
 def _planning(draws) -> list[str]:
-    """Time of whole plans beside one call of the ladder's last rung, its program compiled before:
+    """Time of whole plans beside one call of the last candidate, its program compiled before:
     that is what has to be run where nothing is planned, lest some scene err by more than 1 %."""
     lines = [
-        "| planning at 3 % | bands | ms | run of the last rung, ms | share |",
+        "| planning at 3 % | bands | ms | run of the last transport, ms | share |",
         "|---|---|---|---|---|",
     ]
     for quantity in models.QUANTITIES:
-        last = planning.LADDERS[quantity][-1]
+        last = planning.CANDIDATES[quantity][-1]
         for count in PEOPLES:
             planned, run = [], []
             for i in range(TIMED):
@@ -223,8 +223,9 @@ def _planning(draws) -> list[str]:
                     continue
                 run.append(time.process_time() - start)
             mine, saved = 1e3 * np.mean(planned[1:]), 1e3 * np.mean(run[1:])
+            name = planning.model_label(last)
             lines.append(
-                f"| {quantity} | {count} | {mine:.2g} | {planning.rung(last)}: {saved:.3g} | "
+                f"| {quantity} | {count} | {mine:.2g} | {name}: {saved:.3g} | "
                 f"{100 * mine / saved:.2g} % |"
             )
     return lines

@@ -1,4 +1,4 @@
-"""Irradiance of the two-stream against the exact rung, and the fit of its three constants.
+"""Irradiance of the two-stream against the exact model, and the fit of its three constants.
 
     python -m tests.acceptance.two_stream_irradiance
 
@@ -36,8 +36,8 @@ WATERS, LEVELS = 24, 15
 def _fields(water, light, surface, floor, depths):
     scene = oi.Scene(water, light, surface, floor)
     out = {}
-    for name, rung in (("exact", EXACT), ("two", oi.TwoStream())):
-        field = oi.irradiance(scene, depths, rung)
+    for name, model in (("exact", EXACT), ("two", oi.TwoStream())):
+        field = oi.irradiance(scene, depths, model)
         out[name] = tuple(x.value for x in (field.Ed, field.Eu, field.E0))
     # The two-stream's own numbers, of the sun's beam.
     inner = two_stream.solve(scene, scene.beam())
@@ -134,14 +134,14 @@ def test_settings():
 
 def _to_one_percent(water, light, surface, floor):
     """Fields at ten depths to the 1 % level of each water, or to the floor: waters share depths,
-    so that the nearest of a fine ladder are taken."""
-    ladder = jnp.concatenate([jnp.full(1, 1e-6), jnp.linspace(0.02, 1.0, 400) * 15.0])
+    so that the nearest of a fine grid are taken."""
+    grid = jnp.concatenate([jnp.full(1, 1e-6), jnp.linspace(0.02, 1.0, 400) * 15.0])
     if floor is None:
-        ladder = jnp.concatenate([jnp.full(1, 1e-6), jnp.geomspace(0.05, 400.0, 400)])
-    found = _fields(water, light, surface, floor, ladder)
+        grid = jnp.concatenate([jnp.full(1, 1e-6), jnp.geomspace(0.05, 400.0, 400)])
+    found = _fields(water, light, surface, floor, grid)
     exact = np.asarray(found["exact"][0])
     deepest = (exact > 0.01 * exact[:1]).cumprod(axis=0).sum(axis=0) - 1
-    z = np.asarray(ladder)
+    z = np.asarray(grid)
     picks = [
         np.searchsorted(z, np.arange(1, 11) / 10 * z[last] - 1e-9).clip(0, last) for last in deepest
     ]
@@ -180,7 +180,7 @@ def main():
     jax.config.update("jax_enable_x64", True)
     fitted = ", ".join(f"{x:.4f}" for x in fit())
     report = (
-        "# Irradiance of the two-stream against the exact rung\n\n"
+        "# Irradiance of the two-stream against the exact model\n\n"
         "`python -m tests.acceptance.two_stream_irradiance`: Jerlov waters to the 1 % level,"
         " |relative error| against PlaneParallel(16).\n\n"
         f"Constants fitted to random waters: {fitted}; in use: {two_stream._LAG}.\n\n{table()}\n"

@@ -3,7 +3,7 @@
     python -m tests.benchmarks.bench_pictures
 
 The multiple-scattering term of the printed size (Monzon et al. 2024, eq 9) by XLA and by a numba
-kernel of the same formula that runs on every core; the whole picture by the two-stream rung; cost
+kernel of the same formula that runs on every core; the whole picture by the two-stream model; cost
 in the number of bands (in steps of eight, the width of a processor's vectors); and the price of a
 forward-mode gradient.  Best of several runs; pictures.md is what it printed.
 """

@@ -2,7 +2,7 @@
 
     python -m tests.benchmarks.bench_two_stream
 
-Errors are over the exact cases of tests/reference/two_stream_exact.csv that every rung can do
+Errors are over the exact cases of tests/reference/two_stream_exact.csv that every model can do
 (deep water, sun only, beyond 20 degrees of the refracted sun).  Times are the best of several
 runs of one compiled program on 4096 rays x 8 wavelengths, relative to the printed closure.
 """
@@ -59,13 +59,13 @@ def _rays(count, dtype):
 
 
 def times():
-    """Seconds per (rung, dtype)."""
+    """Seconds per (model, dtype)."""
     found = {}
     for dtype in (jnp.float64, jnp.float32):
         scene = _scene(dtype)
         origin, direction = _rays(4096, dtype)
 
-        def rung(scene, origin, direction, transport):
+        def model(scene, origin, direction, transport):
             return oi.radiance(scene, oi.Rays(origin, direction), transport).value
 
         def printed(scene, origin, direction):
@@ -79,15 +79,15 @@ def times():
         name = jnp.dtype(dtype).name
         found["printed closure", name] = _best(jax.jit(printed), scene, origin, direction)
         for label, transport in (("KdTransport", oi.KdTransport()), ("TwoStream", oi.TwoStream())):
-            call = jax.jit(functools.partial(rung, transport=transport))
+            call = jax.jit(functools.partial(model, transport=transport))
             found[label, name] = _best(call, scene, origin, direction)
-        call = jax.jit(functools.partial(rung, transport=oi.TwoStream()))
+        call = jax.jit(functools.partial(model, transport=oi.TwoStream()))
         found["TwoStream, floor", name] = _best(call, _scene(dtype, True), origin, direction)
     return found
 
 
 def errors():
-    """Median |relative error| per rung over the deep exact cases."""
+    """Median |relative error| per model over the deep exact cases."""
     a, b = accuracy.coefficients()
     gathered = {"printed closure": [], "KdTransport": [], "TwoStream": []}
     for (name, sun, surface, floor, i), exact in reference._exact().items():
@@ -145,7 +145,7 @@ def imports():
 def main():
     error, taken = errors(), times()
     unit = taken["printed closure", "float64"]
-    print("| rung | median error | time / printed closure, float64 | float32 |\n|---|---|---|---|")
+    print("| model | median error | time / printed closure, float64 | float32 |\n|---|---|---|---|")
     for label in ("printed closure", "KdTransport", "TwoStream", "TwoStream, floor"):
         ratios = [taken[label, name] / unit for name in ("float64", "float32")]
         shown = f"{error[label]:.3f}" if label in error else ""

@@ -1,4 +1,4 @@
-"""The four-stream rung: a closed form from a and b that knows azimuth and steepness."""
+"""The four-stream model: a closed form from a and b that knows azimuth and steepness."""
 
 import jax
 import jax.numpy as jnp

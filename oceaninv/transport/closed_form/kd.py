@@ -1,4 +1,4 @@
-"""The cheapest rung: radiance when the diffuse attenuation coefficient Kd is given."""
+"""The cheapest model: radiance when the diffuse attenuation coefficient Kd is given."""
 
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Key

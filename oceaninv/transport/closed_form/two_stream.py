@@ -1,4 +1,4 @@
-"""The two-stream rung: a closed form from a and b, the default of the toolkit."""
+"""The two-stream model: a closed form from a and b, the default of the toolkit."""
 
 import functools
 
@@ -154,7 +154,7 @@ def _lag(field: Field, a, q):
     """ln of exact over two-stream Ed where light has fallen to e^(-q): one exponential of diffuse
     light first keeps too much of a slanting sun's light, then loses it.
 
-    Three constants fitted to the exact rung in 1248 random waters (Henyey-Greenstein 0.75-0.95,
+    Three constants fitted to the exact model in 1248 random waters (Henyey-Greenstein 0.75-0.95,
     Petzold, Fournier-Forand of 0.6-3 % backscatter; albedo 0.2-0.97, sun to 60 degrees under
     water), to the 1 % level; it still helps at the 0.01 % level and is bounded beyond.
     """

@@ -10,7 +10,7 @@ import pytest
 
 import oceaninv as oi
 from fitting import fit_photo, fit_profile
-from fitting.core.multifidelity import Demand, fit_within
+from fitting.core.multifidelity import AccuracyTarget, multifidelity_fit
 from fitting.core.parameters import Parameter, Parameters
 from fitting.core.result import Fit, Predictive
 from fitting.photo.exact_correction import exact_ratios, tangent, uncorrected
@@ -22,7 +22,7 @@ from tests.fitting.photo.test_fit_photo import clean, fitted, photo
 from tests.fitting.profile.test_fit_profile import constituent_cast
 
 WAVELENGTH = oi.spectrum.bands(6)
-DEMAND = Demand("irradiance")
+TARGET = AccuracyTarget("irradiance")
 
 
 def _stand_in(chlorophyll: float, transport) -> Fit:
@@ -40,29 +40,29 @@ def _scene(fit):
 
 
 def test_the_plan_follows_the_water_that_is_found():
-    """Clear water to begin with, murky at the first optimum: the check asks for a dearer rung."""
+    """Clear water to begin with, murky at the first optimum: the check asks for a costlier one."""
     starts = []
 
     def solve(transport, start):
         starts.append(None if start is None else np.exp(start[0]))
         return _stand_in(0.03 if start is None else 20.0, transport)
 
-    fit, used = fit_within(0.01, None, solve, _scene, [DEMAND])
+    fit, used = multifidelity_fit(0.01, None, solve, _scene, [TARGET])
     plan = fit.metadata["plan"]
     assert plan["tried"][0] == "TwoStream()"
     assert len(plan["tried"]) > 1
-    assert planning.rung(used) == plan["transport"] == plan["tried"][-1]
+    assert planning.model_label(used) == plan["transport"] == plan["tried"][-1]
     assert starts[:2] == [None, pytest.approx(0.03)]
     assert plan["kept"]
     assert plan["predicted_error"] <= 0.01
     chosen, error = sufficient(_scene(fit), 0.01)
-    ladder = [planning.rung(t) for t in planning.LADDERS["irradiance"]]
-    assert ladder.index(plan["transport"]) >= ladder.index(planning.rung(chosen))
+    labels = [planning.model_label(t) for t in planning.CANDIDATES["irradiance"]]
+    assert labels.index(plan["transport"]) >= labels.index(planning.model_label(chosen))
     assert error <= 0.01
 
 
 def test_a_tolerance_that_nothing_keeps_ends_with_the_best_rung_and_says_so():
-    fit, _ = fit_within(1e-6, None, lambda t, _: _stand_in(20.0, t), _scene, [DEMAND])
+    fit, _ = multifidelity_fit(1e-6, None, lambda t, _: _stand_in(20.0, t), _scene, [TARGET])
     assert not fit.metadata["plan"]["kept"]
     assert fit.metadata["plan"]["predicted_error"] > 1e-6
 
@@ -73,7 +73,7 @@ def test_one_search_is_enough_where_the_cheapest_rung_is():
     plan = fit.metadata["plan"]
     assert plan["tried"] == ["TwoStream()"]
     assert plan["kept"]
-    assert plan["stood_still"]
+    assert plan["settled"]
     assert json.loads(fit.to_xarray().attrs["metadata"])["plan"]["tolerance"] == 0.9
 
 
@@ -89,7 +89,7 @@ def test_a_transport_and_a_tolerance_exclude_each_other():
 
 @pytest.mark.slow
 def test_a_corrected_model_is_the_exact_one_to_first_order():
-    """About the point of a look, in every unknown at once."""
+    """About the point of the evaluation, in every unknown at once."""
     exact = oi.KdTransport()
     parameters, readings, sunlight = prepare([photo(clean())], oi.TwoStream())
     layout, prior = parameters.layout(), parameters.prior()
@@ -108,15 +108,15 @@ def test_a_corrected_model_is_the_exact_one_to_first_order():
 
 
 @pytest.mark.slow
-def test_what_holds_a_search_is_no_datum():
+def test_the_proximal_term_is_no_datum():
     """A search held firmly stays; its covariance is that of the readings and priors alone."""
     parameters, readings, sunlight = prepare([photo(clean())], oi.TwoStream())
     problem = PhotoProblem(
         parameters.layout(), parameters.prior(), readings, oi.TwoStream(), sunlight
     )
     start = jnp.asarray(fitted().x) + 0.1
-    still = dataclasses.replace(uncorrected(problem), about=start, blur=jnp.ones(()))
-    held = dataclasses.replace(still, hold=jnp.asarray(1e4), unit=0.1 * jnp.ones_like(start))
+    still = dataclasses.replace(uncorrected(problem), about=start, noise_inflation=jnp.ones(()))
+    held = dataclasses.replace(still, proximal_weight=jnp.asarray(1e4), unit=0.1 * jnp.ones_like(start))
     found = jax.jit(lambda c: search(dataclasses.replace(problem, correction=c), start))(held)
     np.testing.assert_allclose(found.x, start, atol=1e-4)
     size = problem.residual(start).shape[0]
@@ -138,9 +138,9 @@ def test_a_photo_fit_within_a_tolerance_is_that_of_the_exact_light(monkeypatch):
     assert plan["tried"] == ["TwoStream()"]
     assert 0.01 < plan["largest_correction"] < 0.5
     assert plan["error_left"] <= 1e-3
-    assert plan["stood_still"]
+    assert plan["settled"]
     assert plan["kept"]
-    assert plan["corrected_by"] == planning.rung(exact)
+    assert plan["corrected_by"] == planning.model_label(exact)
     straight = fit_photo(made, transport=exact)
     for name in ("chlorophyll", "cdom", "detritus"):
         i = straight.parameters.names.index(name)
@@ -160,7 +160,7 @@ def test_the_planned_fit_is_that_of_the_exact_light(monkeypatch):
     assert plan["kept"]
     assert 0.001 < plan["largest_correction"] < 0.1
     assert 1 <= plan["corrections"] <= 3
-    assert plan["corrected_by"] == planning.rung(exact)
+    assert plan["corrected_by"] == planning.model_label(exact)
     straight = fit_profile(profile, transport=exact)
     for name in ("chlorophyll", "cdom", "detritus"):
         i = straight.parameters.names.index(name)

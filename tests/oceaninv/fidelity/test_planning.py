@@ -42,7 +42,9 @@ def _ed(scene, depth=5.0):
 
 
 def _rank(quantity, transport):
-    return [planning.rung(t) for t in planning.LADDERS[quantity]].index(planning.rung(transport))
+    return [planning.model_label(t) for t in planning.CANDIDATES[quantity]].index(
+        planning.model_label(transport)
+    )
 
 
 @pytest.mark.parametrize("quantity", planning.QUANTITIES)
@@ -59,10 +61,10 @@ def test_a_smaller_tolerance_is_never_cheaper(quantity):
 def test_promises_are_kept_or_refused_in_words():
     plan = oi.plan(_scene(), 0.05, "irradiance")
     assert plan.predicted_error <= 0.05
-    assert planning.rung(plan.transport) in plan.why
+    assert planning.model_label(plan.transport) in plan.why
     hopeless = oi.plan(_scene(), 1e-5, "radiance")
     assert hopeless.predicted_error > 1e-5
-    assert "no rung promises" in hopeless.why
+    assert "no transport promises" in hopeless.why
 
 
 def test_waters_unlike_those_of_the_fit_are_said_to_be():
@@ -72,11 +74,11 @@ def test_waters_unlike_those_of_the_fit_are_said_to_be():
     assert "a guess" in oi.plan(_scene(water=white), 0.03).why
 
 
-def test_every_rung_has_its_numbers():
+def test_every_candidate_has_an_error_model():
     for quantity in planning.QUANTITIES:
-        for transport in planning.LADDERS[quantity]:
+        for transport in planning.CANDIDATES[quantity]:
             assert np.isfinite(
-                error_model.models()[quantity, planning.rung(transport)].coefficients
+                error_model.error_models()[quantity, planning.model_label(transport)].coefficients
             ).all()
 
 
@@ -183,7 +185,7 @@ def _asked(scene, transport, quantity):
         pytest.param(oi.PlaneParallel(4, 2), marks=pytest.mark.slow),
         pytest.param(oi.MonteCarlo(32, 4), marks=pytest.mark.slow),
     ],
-    ids=planning.rung,
+    ids=planning.model_label,
 )
 def test_a_term_that_is_not_there_costs_nothing(transport, quantity, monkeypatch):
     """What the plan leaves is the program of a scene that was written without these terms, of

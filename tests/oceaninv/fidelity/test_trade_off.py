@@ -1,4 +1,4 @@
-"""The measured trade: rows, tables, and a whole run of the ladder."""
+"""The measured trade-off: rows, tables, and a whole run of the candidate models."""
 
 import csv
 
@@ -9,7 +9,12 @@ import oceaninv as oi
 from fitting.commands import fit_trade_off
 from fitting.commands import main as cli
 from oceaninv.fidelity import trade_off
-from oceaninv.fidelity.candidate_models import Model, ladder, references, through
+from oceaninv.fidelity.candidate_models import (
+    CandidateModel,
+    answer_of_transport,
+    candidate_models,
+    references,
+)
 from tests.fitting.commands.test_main import CAST
 
 SCENE = """
@@ -43,7 +48,7 @@ def test_the_front_is_what_nothing_beats(tmp_path):
     rows = [trade_off.Row(name, s, 0.0, e) for name, s, e in (
         ("slow, worse", 3.0, 0.5), ("fast", 1.0, 0.4), ("slow, better", 2.0, 0.1)
     )]  # fmt: skip
-    front = trade_off._front(rows)
+    front = trade_off._pareto_front(rows)
     assert [row.model for row in front] == ["fast", "slow, better", "slow, worse"]
     assert [row.best for row in front] == [True, True, False]
     found = trade_off.Trade("sea", "photograph", "exact", 0.001, front)
@@ -56,28 +61,28 @@ def test_the_front_is_what_nothing_beats(tmp_path):
 def test_errors_of_photographs_are_of_channels(file):
     """A model of some bands is judged by the channels that it makes of them."""
     found = oi.load_scene(file)
-    judge = trade_off._Judge(found.scene, found.camera, "photograph")
-    even = np.ones((len(judge.origin), 4))
-    assert judge.error(1.1 * even, even) == pytest.approx(0.1)
-    assert judge.error(even[:, :3], even, (0, 1, 3)) < 0.01
-    judge = trade_off._Judge(found.scene, found.camera, "irradiance")
+    benchmark = trade_off._Benchmark(found.scene, found.camera, "photograph")
+    even = np.ones((len(benchmark.origin), 4))
+    assert benchmark.error(1.1 * even, even) == pytest.approx(0.1)
+    assert benchmark.error(even[:, :3], even, (0, 1, 3)) < 0.01
+    benchmark = trade_off._Benchmark(found.scene, found.camera, "irradiance")
     light = np.exp(-np.arange(10.0))[:, None] * np.ones(4)
     wrong = light.copy()
     wrong[2], wrong[9] = 1.2 * wrong[2], 9.0  # the last is below the 1 % level
-    assert judge.error(wrong, light) == pytest.approx(0.2)
+    assert benchmark.error(wrong, light) == pytest.approx(0.2)
 
 
 def test_every_dial_has_its_models(file):
     import dataclasses
 
     scene = oi.load_scene(file).scene
-    names = [model.name for model in ladder(scene, "photograph")]
+    names = [model.name for model in candidate_models(scene, "photograph")]
     for part in ("printed closure", "KdTransport", "FourStream, float32", "MonteCarlo(1024, 32)",
                  "MonteCarlo(64, 4)", "PlaneParallel(16, 8)", "TwoStream, 3 bands"):  # fmt: skip
         assert part in names
-    assert not any("bands" in model.name for model in ladder(scene, "irradiance"))
+    assert not any("bands" in model.name for model in candidate_models(scene, "irradiance"))
     glowing = dataclasses.replace(scene, inelastic=oi.Inelastic(oi.Raman()))
-    names = [model.name for model in ladder(glowing, "photograph")]
+    names = [model.name for model in candidate_models(glowing, "photograph")]
     assert "PlaneParallel(8, 6, generations=2)" in names
     assert "TwoStream, elastic" in names
     assert "generations=3" in references(glowing, "photograph")[0].name
@@ -88,13 +93,16 @@ def test_trade_writes_rows_and_a_picture(file, tmp_path, monkeypatch):
     """A few of the models, beside a reference that is not the real one."""
     few = {"printed closure", "TwoStream", "TwoStream, float32", "MonteCarlo(64, 4)"}
     monkeypatch.setattr(
-        trade_off, "ladder", lambda *given: [model for model in ladder(*given) if model.name in few]
+        trade_off,
+        "candidate_models",
+        lambda *given: [model for model in candidate_models(*given) if model.name in few],
     )
     monkeypatch.setattr(
         trade_off,
         "references",
         lambda _, quantity: [
-            Model(f"exact {n}", through(oi.PlaneParallel(n), quantity)) for n in (6, 4)
+            CandidateModel(f"exact {n}", answer_of_transport(oi.PlaneParallel(n), quantity))
+            for n in (6, 4)
         ],
     )
     stem = tmp_path / "out"

@@ -1,4 +1,4 @@
-"""The four-stream rung: unit values, the exact rung, limits, singular points, derivatives."""
+"""The four-stream model: unit values, the exact model, limits, singular points, derivatives."""
 
 import jax
 import jax.numpy as jnp
@@ -137,8 +137,8 @@ def test_error_against_the_exact_rung():
     away = study.from_sun(parameters[2], directions) > 10.0
     arrays = tuple(jnp.asarray(p) for p in parameters)
     both = [
-        [np.asarray(x) for x in study.solved(rung, arrays, jnp.asarray(directions), True)]
-        for rung in (oi.FourStream(), oi.PlaneParallel(streams=12))
+        [np.asarray(x) for x in study.solved(model, arrays, jnp.asarray(directions), True)]
+        for model in (oi.FourStream(), oi.PlaneParallel(streams=12))
     ]
     errors = [np.abs(f / e - 1) for f, e in zip(*both, strict=True)]
     assert np.median(errors[0][away]) < 0.045

@@ -1,4 +1,4 @@
-"""The Kd rung: Gershun's law, slopes, the printed closure against direct integration."""
+"""The Kd model: Gershun's law, slopes, the printed closure against direct integration."""
 
 import jax
 import jax.numpy as jnp

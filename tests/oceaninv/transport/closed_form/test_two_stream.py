@@ -366,7 +366,7 @@ def test_accuracy():
 
 @pytest.mark.parametrize(("surface", "worst"), [(1.34, 0.045), (None, 0.21)])
 def test_a_sky_lights_the_water_from_above(surface, worst):
-    """Ed under an overcast sky, which comes down steeply under a surface, by the exact rung."""
+    """Ed under an overcast sky, which comes down steeply under a surface, by the exact model."""
     b = jnp.asarray([0.3, 0.6, 0.85, 0.95])
     water = oi.IOPs(np.arange(1.0, 5.0), 1.0 - b, b, oi.phase.petzold())
     light = oi.Light(30.0, jnp.zeros(4), jnp.ones(4))
@@ -380,7 +380,7 @@ def test_a_sky_lights_the_water_from_above(surface, worst):
 
 
 def test_little_absorption_is_diffusion():
-    """Milk: Ed and Eu, which exceed the net flux many times, by the exact rung."""
+    """Milk: Ed and Eu, which exceed the net flux many times, by the exact model."""
     b = jnp.asarray([0.99, 0.999, 0.9999])
     water = oi.IOPs(np.arange(1.0, 4.0), 1.0 - b, b, oi.phase.HenyeyGreenstein(0.8))
     scene = oi.Scene(water, oi.Light(40.0, jnp.ones(3)), oi.FlatSurface())
