@@ -7,8 +7,8 @@ The first fits the error models and their margins on the scenes `CALIBRATION`, w
 oceaninv/fidelity/errors.csv and centres.csv, and how plans for scenes of folds left out fare in
 plan_calibration.md.  The second plans the scenes `TEST` of another seed at tolerances of 10, 3
 and 1 %, compares with the true error and cost of each transport, prints the table and writes it to
-plan.md beside this file.  The results of the transports are kept in FOLDER, if one is given; an interrupted
-run continues from there.  Seeded; about forty minutes of one core, and eight.
+plan.md beside this file.  The results of the transports are kept in FOLDER, if one is given; an
+interrupted run continues from there.  Seeded; about forty minutes of one core, and eight.
 """
 
 import functools
