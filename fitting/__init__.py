@@ -3,7 +3,7 @@
 # fmt: off
 # isort: off
 from fitting.bulk.fit_bulk import fit_bulk
-from fitting.bulk.media import AbstractContents, Milk, NaturalWater, Populations
+from fitting.bulk.media import AbstractMedium, Milk, NaturalWater, Populations
 from fitting.core import former_names  # noqa: F401
 from fitting.core.likelihood_regions import joint_region
 from fitting.core.parameters import Identity, Log, Logit, Parameter
@@ -23,7 +23,7 @@ from fitting.profile.kd.smooth_kd import SmoothKd, smooth_kd
 import fitting.report.picture  # noqa: F401  # it draws `Fit.report`
 
 __all__ = [
-    "NUTS", "AbstractContents", "Background", "Bulk", "Chart", "Fit", "Identity", "Log",
+    "NUTS", "AbstractMedium", "Background", "Bulk", "Chart", "Fit", "Identity", "Log",
     "Logit", "Milk", "NaturalWater", "Parameter", "Photo", "Photograph", "Pixels",
     "Populations", "Profile", "ProfileFits", "Quantity", "SmoothKd", "assumptions", "design",
     "fit_apparent", "fit_bulk", "fit_photo", "fit_photos", "fit_profile", "fit_profiles",

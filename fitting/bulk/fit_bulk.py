@@ -1,4 +1,4 @@
-"""Measured spectra of absorption and scattering to the contents of a medium."""
+"""Measured spectra of absorption and scattering to the constituents of a medium."""
 
 from collections.abc import Mapping, Sequence
 
@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Bool, Float, Num
 
-from fitting.bulk.media import AbstractContents, Populations
+from fitting.bulk.media import AbstractMedium, Populations
 from fitting.core.least_squares import covariance, least_squares, sentence
 from fitting.core.parameters import Parameter, Parameters, Prior
 from fitting.core.result import Fit, Predictive, derived_quantity
@@ -29,30 +29,31 @@ class _Readings(eqx.Module):
     """What the compiled program sees: a row each for a, b and c, measured or not.
 
     `sigma` is None where the noise is estimated.  What was not measured has the standard deviation
-    `blind`, so large that it weighs nothing: its model and slopes then come with the solver's.
+    `unmeasured_sd`, so large that it has no weight: the solver then computes its model and
+    derivatives along with the others.
     """
 
     values: Float[Array, "coefficient wl"]
     mask: Bool[Array, "coefficient wl"]
     sigma: Float[Array, "coefficient wl"] | None
     floor: Float[Array, ""]
-    blind: Float[Array, ""]
+    unmeasured_sd: Float[Array, ""]
 
     def spread(self, model: Float[Array, "coefficient wl"], noise: Float[Array, ""]):
         """Standard deviations at the model, not at the datum, which would favour low readings."""
         sd = self.sigma
         if sd is None:
             sd = jnp.sqrt((noise * model) ** 2 + self.floor**2)
-        return jnp.where(self.mask, sd, self.blind)
+        return jnp.where(self.mask, sd, self.unmeasured_sd)
 
 
 @eqx.filter_jit
-def _solve(contents, layout: Parameters, prior: Prior, grid, readings: _Readings):
+def _solve(medium, layout: Parameters, prior: Prior, grid, readings: _Readings):
     """Optimum, relative noise, degrees of freedom; one program for any subset of a, b and c."""
     shape, size = readings.values.shape, readings.values.size
 
     def residual(x, sd):
-        a, b = contents.coefficients(layout.values(x), np.asarray(grid))
+        a, b = medium.coefficients(layout.values(x), np.asarray(grid))
         data = (readings.values - jnp.stack([a, b, a + b])) / sd
         return jnp.concatenate([data.reshape(-1), prior.residual(x)])
 
@@ -64,8 +65,8 @@ def _solve(contents, layout: Parameters, prior: Prior, grid, readings: _Readings
         # Readings less the number of unknowns that they, rather than the priors, determine.
         fitted = jnp.sum((slope @ covariance(optimum.jacobian)) * slope)
         degrees = jnp.sum(readings.mask).astype(fitted.dtype) - fitted
-        excess = jnp.sum(data**2) / jnp.maximum(degrees, 1.0)
-        better = jnp.maximum(noise * jnp.sqrt(excess), _LEAST_NOISE)
+        birge_ratio = jnp.sqrt(jnp.sum(data**2) / jnp.maximum(degrees, 1.0))
+        better = jnp.maximum(noise * birge_ratio, _LEAST_NOISE)
         slopes = -(slope.reshape(*shape, -1) * sd[:, :, None])
         return optimum, readings.values - data * sd, slopes, noise, better, degrees
 
@@ -85,17 +86,17 @@ def _solve(contents, layout: Parameters, prior: Prior, grid, readings: _Readings
 
 def fit_bulk(
     bulk: Bulk,
-    contents: AbstractContents | Mapping[str, Population] | Sequence[Population],
+    medium: AbstractMedium | Mapping[str, Population] | Sequence[Population],
     host_index: Num[ArrayLike, "..."] | None = None,
     *,
     priors: Mapping[str, Parameter] | None = None,
 ) -> Fit:
-    """Fit what a medium holds to its measured absorption, scattering or beam attenuation.
+    """Fit the constituents of a medium to its measured absorption, scattering or attenuation.
 
     **Arguments:**
 
     - `bulk`: the measured spectra.
-    - `contents`: a model (`Milk()`, `NaturalWater()`, `Populations(...)`), or populations of
+    - `medium`: a model (`Milk()`, `NaturalWater()`, `Populations(...)`), or populations of
       spheres whose volume fractions and sizes are unknown.
     - `host_index`: n + ik, a number or (wl,), needed for populations.
     - `priors`: parameters to exchange by name, for instance a known exponent:
@@ -108,25 +109,25 @@ def fit_bulk(
 
     The model is compiled once per set of wavelengths; time grows with the largest sphere.
     """
-    if not isinstance(contents, AbstractContents):
+    if not isinstance(medium, AbstractMedium):
         if host_index is None:
-            raise ValueError("host_index is needed where contents are populations.")
-        contents = Populations(contents, host_index)
+            raise ValueError("host_index is needed where the medium is given as populations.")
+        medium = Populations(medium, host_index)
     elif host_index is not None:
         raise ValueError("host_index belongs to populations; a model knows its own.")
-    parameters = Parameters(contents.unknowns()).replace(priors or {})
+    parameters = Parameters(medium.unknowns()).replace(priors or {})
     if bulk.sigma is None and bulk.mask.sum() < 3:
         raise ValueError(
             f"{int(bulk.mask.sum())} readings cannot show their own noise: give sigma."
         )
     optimum, *numbers = _solve(
-        contents,
+        medium,
         parameters.layout(),
         parameters.prior(),
         tuple(bulk.wavelength.tolist()),
         _readings(bulk),
     )
-    return _result(bulk, contents, parameters, optimum, *map(np.asarray, numbers))
+    return _result(bulk, medium, parameters, optimum, *map(np.asarray, numbers))
 
 
 def _readings(bulk: Bulk) -> _Readings:
@@ -147,7 +148,7 @@ def _readings(bulk: Bulk) -> _Readings:
     )
 
 
-def _result(bulk: Bulk, contents, parameters, optimum, spectra, slopes, noise, degrees) -> Fit:
+def _result(bulk: Bulk, medium, parameters, optimum, spectra, slopes, noise, degrees) -> Fit:
     cov = np.asarray(covariance(optimum.jacobian))
     predicted = spectra[[list(_NAMES).index(name) for name in bulk.names]]
     sd = bulk.sigma
@@ -156,7 +157,7 @@ def _result(bulk: Bulk, contents, parameters, optimum, spectra, slopes, noise, d
     residual = np.where(bulk.mask, (bulk.values - predicted) / sd, np.nan)
     metadata = {
         "source": bulk.source,
-        "contents": type(contents).__name__,
+        "medium": type(medium).__name__,
         "masked_values": bulk.masked,
         "relative_noise": "given" if bulk.sigma is not None else float(noise),
         "misfit": float(np.sqrt(np.nanmean(residual**2))),

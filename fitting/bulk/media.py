@@ -1,4 +1,4 @@
-"""What a medium may be made of: unknowns to absorption and scattering, by Lorenz-Mie theory."""
+"""Models of media: unknowns to absorption and scattering, by Lorenz-Mie theory."""
 
 import abc
 import math
@@ -18,8 +18,8 @@ Values = Mapping[str, Float[Array, ""]]
 _DECADES = 2.3
 
 
-class AbstractContents(eqx.Module):
-    """A model of a medium: named unknowns, and what they do to light."""
+class AbstractMedium(eqx.Module):
+    """A model of a medium: named unknowns, and the absorption and scattering that they cause."""
 
     @abc.abstractmethod
     def unknowns(self) -> tuple[Parameter, ...]:
@@ -32,7 +32,7 @@ class AbstractContents(eqx.Module):
         """(a, b) in 1/m at concrete wavelengths (nm), differentiable in `values`."""
 
 
-class Milk(AbstractContents):
+class Milk(AbstractMedium):
     """Milk by its wt-% of fat and protein (`oceaninv.media.milk`).
 
     Nuisances, each a factor on what the recipe fixes and dairies do not:
@@ -81,7 +81,7 @@ def _totals(
     return sum((p.a for p in others), start=first.a), sum((p.b for p in others), start=first.b)
 
 
-class NaturalWater(AbstractContents):
+class NaturalWater(AbstractMedium):
     """Algae and minerals in sea water (`oceaninv.media.natural_water`), with dissolved colour.
 
     - `total`: whether the readings hold the water itself.  False for instruments that are
@@ -141,7 +141,7 @@ class NaturalWater(AbstractContents):
         return a, b
 
 
-class Populations(AbstractContents):
+class Populations(AbstractMedium):
     """Populations of spheres in a host, by name.
 
     Unknown of each: `<name>_fraction` of the volume, within decades of the one given.  With

@@ -155,7 +155,7 @@ def _without_water(fit, photo, shown, stem: Path, overwrite: bool) -> list[tuple
     views = [float(chart.zenith) for chart in photo.charts]
     restored = restore(fit, photograph, ranges, zenith=sum(views) / len(views) if views else 90.0)
     exr, png, residual = restored.save(stem, overwrite=overwrite)
-    if said := restored.sentence():
+    if said := restored.message():
         print(said)
     print(f"wrote {exr}, {png} and {residual}")
     return [("Without the water", png), ("Where the fitted water does not suit", residual)]

@@ -35,12 +35,13 @@ def multifidelity_fit(
 ) -> tuple[Fit, AbstractTransport]:
     """A fit through a transport that errs by at most `tolerance`, and that transport.
 
-    The water is found by the cheapest transport, the plan is made for it, and checked again at the
-    optimum of the planned one: a costlier one follows where that is no longer enough.  Every search
-    begins where the last one ended.
+    The cheapest transport finds a first water.  A transport is planned for that water, and the
+    plan is checked at the optimum of the planned transport: where it no longer suffices, a more
+    accurate one follows.  Every search starts where the last one ended.
 
-    **Arguments:** `solve`: of a transport and where to begin; `scene_of`: a fit's water and light;
-    `corrigible`: an error that is good enough, whatever the tolerance, for `corrected` follows.
+    **Arguments:** `solve` (transport, coordinates to start from or None) -> the fit; `scene_of`
+    (fit) -> its water and light; `targets`: what the transport is used for; `correctable`: an
+    error that suffices whatever the tolerance, because a correction follows.
 
     **Raises** ValueError when a transport was given as well, and for a tolerance out of range.
     """

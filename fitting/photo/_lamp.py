@@ -13,13 +13,13 @@ def lamplit(
     water: IOPs,
     lamp: Float[Array, " wl"],
     distance: Float[Array, " ray"],
-    blind: Float[Array, ""],
+    overlap_distance: Float[Array, ""],
 ) -> tuple[Float[Array, "ray wl"], Float[Array, "ray wl"]]:
     """Light of a white chart, and of the water before it, at the camera.
 
     - `lamp`: radiant intensity (any unit, W sr-1 nm-1 say) of a lamp at the camera that shines
-      evenly on what is seen; `distance`: metres to the chart; `blind`: metres before the camera
-      from where on the lamp lights the line of sight (a lamp on an arm does so from some tenths).
+      evenly on what is seen; `distance`: metres to the chart; `overlap_distance`: metres
+      before the camera at which lamp and view begin to overlap (some tenths for a lamp on an arm).
 
     White chart: I e^(-2 c P) / (pi P^2).  Water, in single scattering straight back:
 
@@ -36,8 +36,9 @@ def lamplit(
     nodes, weights = jnp.asarray(_NODES, dtype), jnp.asarray(_WEIGHTS, dtype)
     # The two E2 together, by quadrature in ln r: library ones take longer to compile than the
     # rest of a fit, and differences of them cancel.  Beyond e^-36 nothing comes back.
-    far = jnp.minimum(jnp.maximum(distance, blind)[:, None], blind + 36.0 / twice[None, :])
-    span = jnp.log(far / blind)
-    r = blind * jnp.exp(span[:, :, None] * nodes[None, None, :])
+    nearest = jnp.maximum(distance, overlap_distance)[:, None]
+    far = jnp.minimum(nearest, overlap_distance + 36.0 / twice[None, :])
+    span = jnp.log(far / overlap_distance)
+    r = overlap_distance * jnp.exp(span[:, :, None] * nodes[None, None, :])
     path = span * jnp.sum(weights[None, None, :] * jnp.exp(-twice[None, :, None] * r) / r, axis=-1)
     return chart, lamp[None, :] * back[None, :] * path

@@ -170,11 +170,10 @@ def fit_photo(
       squared (pseudo-Huber), for stray patches; None squares all.
     - `starts`: searches from so many points, the first at the priors' centres, the others drawn
       from the priors of the constituents; the best is taken.
-    - `tolerance`: instead of a transport, the largest relative error of a photograph that it may
-      bring: what the closed form gets wrong in readings of charts and open water is corrected by
-      looks at the exact light where it errs by less than half, else the cheapest transport is taken
-      that does, see `oceaninv.plan`; what was done, and the error that is left, stand in
-      `metadata["plan"]`.
+    - `tolerance`: instead of a transport, the largest relative error that the model of the light
+      may bring to a reading.  Where the closed form errs by less than half, evaluations of the
+      exact model correct it; elsewhere the cheapest transport within the tolerance is taken, see
+      `oceaninv.plan`.  `Fit.plan` says what was done, and what error remains.
 
     **Returns** a `Fit`.  Exposure, white balance, the light on each chart, the shape of the
     water's optical properties and the error of the closed form are free nuisances with priors, so
@@ -229,8 +228,8 @@ def fit_photo(
         return scene_at(fit.parameters, fit.x, WAVELENGTH, sun)
 
     targets = [AccuracyTarget("photograph", photo.depth, photo.response) for photo in photos]
-    # With a costlier transport a search would take as long as with the exact light.
-    fit, chosen = fit_within(tolerance, transport, solve, scene, demands, _CORRIGIBLE)
+    # A search through a model between the two would take as long as one through the exact model.
+    fit, chosen = multifidelity_fit(tolerance, transport, solve, scene, targets, _CORRECTABLE)
     if model_label(chosen) == model_label(EXACT):
         return fit
 
@@ -239,7 +238,9 @@ def fit_photo(
         return np.asarray(optimum.x), np.sqrt(np.diag(np.asarray(cov)))
 
     stated = scale_noise(fit.problem, 1.0 / fit.metadata["noise_factor"])
-    return refine_with_exact_model(fit, stated, EXACT, search_again, lambda x, c: solve(chosen, x, c))
+    return refine_with_exact_model(
+        fit, stated, EXACT, search_again, lambda x, c: solve(chosen, x, c)
+    )
 
 
 def _starts(parameters, problem: PhotoProblem, count: int) -> Float[Array, "start unknown"]:
@@ -286,7 +287,9 @@ def fit_photos(
             break
         factors *= ratio
         made = [(q, scale_noise(p, e)) for (q, p), e in zip(made, ratio, strict=True)]
-        found = _solved_photographs(jax.tree.map(lambda *leaves: jnp.stack(leaves), *(p for _, p in made)))
+        found = _solved_photographs(
+            jax.tree.map(lambda *leaves: jnp.stack(leaves), *(p for _, p in made))
+        )
     return [
         _result([photo], parameters, problem, *one, stated=float(chi2), factor=float(factor))
         for photo, (parameters, problem), one, chi2, factor in zip(

@@ -209,7 +209,8 @@ def predict(
 
     values = G (I + M) [ W (rho q Ed/pi e^(-c P)) + v W A ], with G the channel gains, M an
     optional matrix of cross-talk, q the irradiance on the chart relative to Ed at its depth,
-    A the path radiance and v its closure error.  By lamplight see `fitting.photo._lamp.lamplit`.
+    A the path radiance and v its relative model error.  By lamplight see
+    `fitting.photo._lamp.lamplit`.
     """
     lit = light_up(values, readings, sunlight, photo)
     return predict_lit(lit, values, readings, transport, photo)
@@ -224,7 +225,9 @@ def predict_lit(lit: Lit, values, readings: Readings, transport, photo: int):
     direction = readings.direction
     white = veil = jnp.zeros((0, 0), dtype)
     if readings.lamp:
-        white, veil = lamplit(lit.water, lit.scene.light.direct, distance, values["blind"])
+        white, veil = lamplit(
+            lit.water, lit.scene.light.direct, distance, values["overlap_distance"]
+        )
     else:
         veil = path_radiance(lit.scene, lit.depth, direction, distance, transport)
     signal = (veil @ lit.response.T * lit.veil[None, :])[jnp.asarray(readings.ray)]

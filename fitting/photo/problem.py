@@ -35,33 +35,37 @@ _LAMP_EVENNESS = 0.1
 _ALGAL_ABSORPTION = 0.55
 
 
-# By how much (ln) a correction may change from where it was made: further off it is not known.
-_REACH = 0.5
+# Largest change (ln) of a correction from its value at the point: further away it is not known.
+_LARGEST_CHANGE = 0.5
 
 
 class Correction(eqx.Module):
-    """By what factor a dearer model sees each reading otherwise than a fit's own, to first order in
-    the unknowns about one point, and how a search goes on from there.
+    """First-order model of the ratio accurate/cheap prediction of each reading about a point,
+    applied as a multiplicative correction.
 
-    - `log`: ln of it there, by photograph; `slope`: its derivative by the unknowns in `unit`.
+    - `log`: ln of the ratio at the point, by photograph; `slope`: its derivative by the unknowns
+      in `unit`.
     - `about`: the point; `unit`: standard deviations of the unknowns.
-    - `hold`: how firmly a search is held to the point, as by a datum of 1 / hold units.
-    - `blur`: by how much the readings are blurred in the first stage of a search.
+    - `proximal_weight`: weight of the standardised step from the point in a search's residual; 0
+      leaves the search free.
+    - `noise_inflation`: factor on the noise of the readings in the first stage of a search.
     """
 
     log: tuple[Float[Array, "reading channel"], ...]
     slope: tuple[Float[Array, "reading channel unknown"], ...]
     about: Float[Array, " unknown"]
     unit: Float[Array, " unknown"]
-    hold: Float[Array, ""]
-    blur: Float[Array, ""]
+    proximal_weight: Float[Array, ""]
+    noise_inflation: Float[Array, ""]
 
-    def away(self, x: Float[Array, " unknown"]) -> Float[Array, " unknown"]:
+    def standardised_step(self, x: Float[Array, " unknown"]) -> Float[Array, " unknown"]:
+        """Distance of `x` from the point in standard deviations."""
         return (x - self.about) / self.unit
 
     def factor(self, photo: int, x: Float[Array, " unknown"]) -> Float[Array, "reading channel"]:
-        change = self.slope[photo] @ self.away(x)
-        return jnp.exp(self.log[photo] + _REACH * jnp.tanh(change / _REACH))
+        """Ratio accurate/cheap of the readings of one photograph at `x`."""
+        change = self.slope[photo] @ self.standardised_step(x)
+        return jnp.exp(self.log[photo] + _LARGEST_CHANGE * jnp.tanh(change / _LARGEST_CHANGE))
 
 
 class PhotoProblem(AbstractProblem):
@@ -69,7 +73,7 @@ class PhotoProblem(AbstractProblem):
 
     - `known`: names of ancillary values; `known_values`: their (ln value, relative sd).
     - `robust`: residuals beyond so many standard deviations count linearly, None: all squared.
-    - `correction`: of what the transport makes of the readings.
+    - `correction`: factors on the transport's predictions of the readings, or None.
     """
 
     layout: Parameters = eqx.field(static=True)
@@ -118,7 +122,8 @@ def _robust(residual, limit):
     return residual * jnp.sqrt(2.0 / (jnp.sqrt(1.0 + excess * excess) + 1.0))
 
 
-def _as_in_nature(shape: Parameter) -> Parameter:
+def _widened_prior(shape: Parameter) -> Parameter:
+    """The parameter with the spread that algal absorption has in nature."""
     if shape.name != "phytoplankton_absorption":
         return shape
     return dataclasses.replace(shape, spread=_ALGAL_ABSORPTION)
@@ -128,13 +133,13 @@ def _unknowns(photos: Sequence[Photo], matrix: bool) -> Parameters:
     sun = float(np.mean([photo.solar_zenith for photo in photos]))
     unknowns = [
         *constituents(),
-        *map(_as_in_nature, shape_nuisances()),
+        *map(_widened_prior, shape_nuisances()),
         pigment_packaging(),
         Parameter("solar_zenith", max(sun, 1.0), 0.1, Log(), "degree", True),
         Parameter("sunlight_tilt", 0.0, 0.05, Identity(), "1", True),
         # What the closed form gets wrong in Kd.  Set by an Ed that erred more than today's; kept,
         # because the coverage in photo_mismatched.md was measured with it.
-        Parameter("closure", 0.0, 0.035, Identity(), "1", True),
+        Parameter("kd_model_error", 0.0, 0.035, Identity(), "1", True),
         # The error of the closed-form path radiance, per channel.
         *(Parameter(f"veil_{c}", 1.0, 0.06, nuisance=True) for c in "RGB"),
     ]
@@ -155,8 +160,8 @@ def _unknowns(photos: Sequence[Photo], matrix: bool) -> Parameters:
     if any(photo.exposure is not None for photo in photos):
         unknowns += [Parameter(f"gain_{c}", 1.0, None, nuisance=True) for c in "RGB"]
     if any(photo.lamp for photo in photos):
-        # From where on the lamp lights the line of sight: its arm and its cone.
-        unknowns.append(Parameter("blind", 0.2, 0.7, Log(), "m", True))
+        # Where lamp and view begin to overlap, which the lamp's arm and cone decide.
+        unknowns.append(Parameter("overlap_distance", 0.2, 0.7, Log(), "m", True))
     for p, photo in enumerate(photos):
         unknowns += _of_frame(p, photo)
     return Parameters(unknowns)
@@ -238,36 +243,36 @@ def photo_residual(parameters: Parameters, readings, transport, sunlight, prior=
 def search(problem: PhotoProblem, start: Float[Array, " unknown"]) -> Optimum:
     """The optimum of a photo fit.  Pure: jit and vmap it.
 
-    Searches first as if the readings were ten times as uncertain: from the priors' centres, exact
-    readings can drive the first steps into opaque water, from where nothing leads back.  A search
-    that goes on from where a correction was made says itself how blurred, and how firmly held to
-    that point, it is.
+    The first stage takes the readings as ten times as uncertain: from the priors' centres, exact
+    readings can drive the first steps into opaque water, where the derivatives vanish.  With a
+    correction, the correction sets the noise inflation and the proximal weight.
     """
 
     correction = problem.correction
     one = jnp.ones((), start.dtype)
-    first = 10.0 if correction is None else correction.blur
+    first = 10.0 if correction is None else correction.noise_inflation
 
-    def stage(x, widen):
-        blurred = eqx.tree_at(
+    def stage(x, inflation):
+        inflated = eqx.tree_at(
             lambda p: [one.sigma for one in p.readings],
             problem,
-            [widen * one.sigma for one in problem.readings],
+            [inflation * one.sigma for one in problem.readings],
         )
 
-        def held(x, _):
+        def weighted(x, _):
             if correction is None:
-                return blurred.residual(x)
-            return jnp.concatenate([blurred.residual(x), correction.hold * correction.away(x)])
+                return inflated.residual(x)
+            proximal = correction.proximal_weight * correction.standardised_step(x)
+            return jnp.concatenate([inflated.residual(x), proximal])
 
-        optimum = least_squares(held, x, None, problem.prior.scale)
+        optimum = least_squares(weighted, x, None, problem.prior.scale)
         return optimum.x, optimum
 
     _, stages = jax.lax.scan(stage, start, jnp.stack([jnp.asarray(first, start.dtype), one]))
     found = jax.tree.map(lambda leaf: leaf[-1], stages)
     if correction is None:
         return found
-    # What held the search is no datum.
+    # The proximal term is no datum.
     rows = found.residual.shape[0] - start.shape[0]
     return Optimum(found.x, found.residual[:rows], found.jacobian[:rows], found.code)
 

@@ -39,7 +39,7 @@ class Restored:
     noise: Float[np.ndarray, "row column"]
     veil: Float[np.ndarray, "3"]
 
-    def sentence(self) -> str | None:
+    def message(self) -> str | None:
         """What the darkest pixels say about the fitted veil; None where they do not object."""
         if self.veil.min() > 0.9:
             return None

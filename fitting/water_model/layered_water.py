@@ -82,8 +82,8 @@ def layers_of(values: Values, wavelength: np.ndarray) -> Layers:
     """The layers with `values`."""
     edges = interfaces(values)
     waters = [_layer(values, i, wavelength) for i in range(1, len(edges) + 2)]
-    # `closure` stretches depths, and the layers with them.
-    return Layers(edges * (1.0 + values["closure"]), waters)
+    # `kd_model_error` stretches depths, and the layers with them.
+    return Layers(edges * (1.0 + values["kd_model_error"]), waters)
 
 
 def _layer(values: Values, layer: int, wavelength: np.ndarray) -> IOPs:
@@ -114,7 +114,7 @@ def layer_quantities(
     at_440, at_490, at_550 = np.searchsorted(grid, MARKS)
     asked = np.searchsorted(grid, wavelength)
     water = layers_of(values, grid)
-    error = 1.0 + values["closure"]
+    error = 1.0 + values["kd_model_error"]
     last = water.interfaces[-1:]
     deepest = jnp.maximum(jnp.max(reach) * error, last + 1e-3)
     edges = jnp.concatenate([jnp.zeros_like(last), water.interfaces, deepest])

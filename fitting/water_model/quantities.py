@@ -46,8 +46,8 @@ def water_quantities(
     """The quantities named in `UNITS` from parameter values; spectra on `wavelength`."""
     grid = np.union1d(wavelength, MARKS)
     water = water_iops(values, grid)
-    # `closure`: relative error of the transport's Kd, a nuisance of the fits.
-    error = 1.0 + values.get("closure", 0.0)
+    # `kd_model_error`: relative error of the transport's Kd, a nuisance of the fits.
+    error = 1.0 + values.get("kd_model_error", 0.0)
     kd = error * kd_to_ten_percent(water, values["solar_zenith"], transport)
     asked = np.searchsorted(grid, wavelength)
     at_440, at_490, at_550 = np.searchsorted(grid, MARKS)

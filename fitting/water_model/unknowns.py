@@ -27,7 +27,8 @@ def constituents() -> tuple[Parameter, ...]:
 def shape_nuisances() -> tuple[Parameter, ...]:
     """What the default bio-optical model fixes but nature varies, with the spread of nature.
 
-    - `tie`: detritus scattering per absorption at 400 nm: 5 within a factor of 2.
+    - `detritus_scattering_ratio`: scattering over absorption of detritus at 400 nm, b_d/a_d(400):
+      5 within a factor of 2.
     - `cdom_slope`, `detritus_slope`: /nm; centred as in Babin et al. 2003, spread so as to hold
       other seas and spectral ranges: 0.010-0.025 for CDOM (Bricaud et al. 1981; Roesler et al.
       1989; Twardowski et al. 2004), 0.009-0.016 for detritus.
@@ -39,7 +40,7 @@ def shape_nuisances() -> tuple[Parameter, ...]:
     - `backscatter`: factor on the backscatter ratio of all particles.
     """
     return (
-        Parameter("tie", 5.0, math.log(2.0), nuisance=True),
+        Parameter("detritus_scattering_ratio", 5.0, math.log(2.0), nuisance=True),
         Parameter("cdom_slope", 0.0176, 0.25, unit="nm-1", nuisance=True),
         Parameter("detritus_slope", 0.0123, 0.15, unit="nm-1", nuisance=True),
         Parameter("detritus_exponent", 0.6, 0.5, Identity(), nuisance=True),
@@ -120,7 +121,7 @@ def water_unknowns(solar_zenith: float | None) -> tuple[Parameter, ...]:
             True,
         ),
         # What the closed form gets wrong in Kd.
-        Parameter("closure", 0.0, 0.02, Identity(), "1", True),
+        Parameter("kd_model_error", 0.0, 0.02, Identity(), "1", True),
     )
 
 
@@ -164,7 +165,7 @@ def water_iops(values: Mapping[str, Float[Array, ""]], wavelength: np.ndarray):
             CDOM(slope=get("cdom_slope", 0.0176)),
             Detritus(
                 slope=get("detritus_slope", 0.0123),
-                tie=get("tie", 5.0),
+                tie=get("detritus_scattering_ratio", 5.0),
                 exponent=get("detritus_exponent", 0.9),
                 phase=particle_phase(of_others * factor),
             ),

@@ -1,10 +1,10 @@
 """The posterior of a simulated photograph, by adaptive importance sampling.
 
 Readings say the sums of absorption and scattering to a few per cent but hardly how they split: a
-posterior of C, a_y, a_d and the tie is a long curved valley, but given these four everything else
-(gains, exposures, ranges, light on charts) is nearly Gaussian.  So the rest is drawn from the
-Gaussian about its conditional optimum, which Gauss-Newton finds, and the four in coordinates
-v + ln v, v a concentration by its size: linear above that size, where readings are nearly linear in
+posterior of C, a_y, a_d and the scattering ratio of detritus is a long curved ridge, but given
+these four everything else (gains, exposures, ranges, light on charts) is nearly Gaussian.  So the
+rest is drawn from the Gaussian about its conditional optimum, which Gauss-Newton finds, and the
+four in coordinates v + ln v, v a concentration by its size: linear above that size, where readings are nearly linear in
 concentrations, logarithmic below, where priors are all there is.  They are drawn from a Student-t
 about the optimum, then, ROUNDS times, from kernels about what the draws so far, weighted, say (West
 1993, Journal of the Royal Statistical Society B 55:409).  Weights are the posterior by the mixture
@@ -29,7 +29,7 @@ BLOCK, ROUNDS, KEPT = 400, 5, 1000
 # Kernels, their width by the spread of all draws, least effective draws they are made from.
 _KERNELS, _WIDTH, _LEAST = 100, 0.5, 80
 _FREEDOM, _WIDER = 6.0, 1.3
-# ln (C^0.65, a_y, a_d, scattering of detritus) from ln (C, a_y, a_d, tie): absorption and
+# ln (C^0.65, a_y, a_d, scattering of detritus) from ln (C, a_y, a_d, b_d/a_d): absorption and
 # scattering are nearly linear in these.
 _LINEAR = np.array([[0.65, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 1, 1.0]])
 # Below about which each of them matters little beside the others' uncertainty.
@@ -111,7 +111,7 @@ def pareto_shape(log_weights: np.ndarray) -> float:
 
 
 def _straight(z):
-    """Straight coordinates of ln (C, a_y, a_d, tie), and ln of how much they stretch them."""
+    """Straight coordinates of ln (C, a_y, a_d, b_d/a_d), and ln of how much they stretch them."""
     logs = z @ _LINEAR.T - _SIZES
     return np.exp(logs) + logs, np.sum(np.log1p(np.exp(logs)), axis=-1)
 
@@ -194,7 +194,12 @@ def sample(made: Setup, seen, prior, found, seed: int = 3) -> Posterior:
 
     `prior`: rows of the priors by seed.
     """
-    if made.parameters.names[:_HARD] != ("chlorophyll", "cdom", "detritus", "tie"):
+    if made.parameters.names[:_HARD] != (
+        "chlorophyll",
+        "cdom",
+        "detritus",
+        "detritus_scattering_ratio",
+    ):
         raise ValueError(f"the unknowns begin with {made.parameters.names[:_HARD]}.")
     seeds, unknown = found["x"].shape
     rng, run = np.random.default_rng(seed), _program(made, _HARD)

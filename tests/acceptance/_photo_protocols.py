@@ -79,10 +79,16 @@ def photo(ranges, depth=5.0, zeniths=(90.0,), range_sd=0.0, **kwargs: Any) -> Ph
     return Photo(charts, water, response=response, depth=depth, solar_zenith=SUN, **kwargs)
 
 
-TIE = float(np.log(2.0))
-_FIELD = {"gain": None, "tie": TIE, "range": 0.05, "chart": 0.2, "exposure": 0.03}
+SCATTERING_RATIO = float(np.log(2.0))
+_FIELD = {
+    "gain": None,
+    "detritus_scattering_ratio": SCATTERING_RATIO,
+    "range": 0.05,
+    "chart": 0.2,
+    "exposure": 0.03,
+}
 _ALGAE = ("phytoplankton_exponent", "phytoplankton_absorption", "phytoplankton_scattering")
-_SHAPES = ("cdom_slope", "detritus_", *_ALGAE, "backscatter")
+_SHAPES = ("cdom_slope", "detritus_slope", "detritus_exponent", *_ALGAE, "backscatter")
 
 
 # Spectra of scattering as Gordon & Morel 1983 and Stramski et al. 2001, and bb/b of algae and other
@@ -107,8 +113,14 @@ PROTOCOLS = {
     "single photo, other reading": Protocol(
         lambda: [photo((1.0, 3.0), range_sd=0.05)], 0.03, _FIELD, _OTHER
     ),
-    "tie unknown": Protocol(lambda: [photo((0.5, 1.0, 2.0))], 0.01, {"gain": None, "tie": TIE}),
-    "tie and all else unknown": Protocol(lambda: [photo((0.5, 1.0, 2.0))], 0.01, {"": None}),
+    "scattering ratio unknown": Protocol(
+        lambda: [photo((0.5, 1.0, 2.0))],
+        0.01,
+        {"gain": None, "detritus_scattering_ratio": SCATTERING_RATIO},
+    ),
+    "scattering ratio and all else unknown": Protocol(
+        lambda: [photo((0.5, 1.0, 2.0))], 0.01, {"": None}
+    ),
     "three depths": Protocol(_three_depths, 0.03, _FIELD),
     "three depths, shapes": Protocol(_three_depths, 0.03, _FIELD | dict.fromkeys(_SHAPES)),
     "three depths, a_y to 10 %": Protocol(_three_depths, 0.03, _FIELD | {"cdom": 0.1}),

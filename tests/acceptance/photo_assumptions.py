@@ -37,8 +37,9 @@ from tests.acceptance._photo_protocols import CONSTITUENTS, NAMES, QUANTITIES, W
 RANGES = (0.5, 1.0, 2.0)
 # Shapes of the water that have a prior.
 SHAPES = (
-    "tie", "cdom_slope", "detritus_slope", "detritus_exponent", "phytoplankton_exponent",
-    "phytoplankton_absorption", "phytoplankton_scattering", "backscatter", "phytoplankton_package",
+    "detritus_scattering_ratio", "cdom_slope", "detritus_slope", "detritus_exponent",
+    "phytoplankton_exponent", "phytoplankton_absorption", "phytoplankton_scattering",
+    "backscatter", "phytoplankton_package",
 )  # fmt: skip
 # Errors below this many standard deviations are no errors to be named.
 SMALL = 0.1

@@ -8,10 +8,10 @@ Protocols (`_photo_protocols.py`): ColorCheckers and open water by a Nikon D850,
 own model, white balance unknown throughout.
 
 - ideal: charts at 0.5, 1 and 2 m, 1 % noise, everything else known.
-- tie unknown: the same, scattering per absorption of detritus known within a factor of 2.
-- tie and all else unknown: the same, and all that `fit_photo` leaves open besides.
+- scattering ratio unknown: the same, b_d/a_d(400) of detritus known within a factor of 2.
+- scattering ratio and all else unknown: the same, and all that `fit_photo` leaves open besides.
 - three depths: one chart at 1 m in frames at 2, 8 and 15 m, 3 % noise, ranges known to 5 %,
-  exposures to 3 %, light on a chart to 20 %, tie within a factor of 2.
+  exposures to 3 %, light on a chart to 20 %, scattering ratio of detritus within a factor of 2.
 - other reading: what of the above the words leave open, chosen so that the ideal protocol's bound
   is that of an independent calculation (`EXPECTED`): charts at 0.5, 3 and 8 m at 8 m depth, another
   coast, and bb/b of algae and of other particles further apart.
@@ -135,11 +135,12 @@ def rows(count: int = DRAWS):
                     IDEAL if water == "coastal" else {})  # fmt: skip
     yield _other("ideal", IDEAL, count)
     yield (
-        "\nWith the tie alone unknown the shapes of everything else are known exactly, and then "
-        "readings tell detritus from CDOM by their slopes: where the tie's truth is low, the bound "
+        "\nWith the scattering ratio of detritus alone unknown the shapes of everything else are "
+        "known exactly, and then "
+        "readings tell detritus from CDOM by their slopes: where the true ratio is low, the bound "
         "itself lies below 0.25."
     )
-    for name in ("tie unknown", "tie and all else unknown"):
+    for name in ("scattering ratio unknown", "scattering ratio and all else unknown"):
         for water in ("coastal", "turbid"):
             out = simulate(name, water, count)
             yield table(f"{name}, {water}", out, {}) + "\n\n" + least_detritus(out)
@@ -156,7 +157,7 @@ def _other(name: str, asked: dict[str, str], count: int) -> str:
 
 
 def least_detritus(out: Outcome) -> str:
-    """What the row of the unknown tie asks for."""
+    """What the row of the unknown scattering ratio asks for."""
     q = NAMES.index("detritus")
     stated, best = out.sd[:, q], out.best[:, q]
     low = stated < 0.25

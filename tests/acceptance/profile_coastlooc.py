@@ -227,7 +227,7 @@ def fitted(data, transport, spread) -> tuple[str, np.ndarray, float]:
             f"{np.mean([fit.converged for fit in fits]):.3f}",
         ]
     )
-    level = float(np.median([fit.sd["closure"] for fit in fits]))
+    level = float(np.median([fit.sd["kd_model_error"] for fit in fits]))
     return (
         cells,
         value[measured & (data["b440"] > 0)] - np.log(data["a440"][measured & (data["b440"] > 0)]),

@@ -60,7 +60,7 @@ def main():
             layers_of(values, BANDS), oi.Light(values["solar_zenith"], sun), oi.FlatSurface()
         )
         edges = jnp.stack([jnp.zeros(()), values["thickness_1"], jnp.full((), DEPTH[-1])])
-        depths = jnp.concatenate([jnp.asarray(DEPTH), edges]) * (1.0 + values["closure"])
+        depths = jnp.concatenate([jnp.asarray(DEPTH), edges]) * (1.0 + values["kd_model_error"])
         down = oi.irradiance(scene, depths, oi.PlaneParallel(16)).Ed.value
         kd = -jnp.diff(jnp.log(down[len(DEPTH) :, 2])) / jnp.diff(edges)
         own = []

@@ -90,16 +90,16 @@ def _optics(values, grid):
     how much depths are stretched; and the shapes' phase functions."""
     water = water_iops(values, np.asarray(grid))
     zenith = jnp.minimum(values["solar_zenith"], 89.0)
-    return (water.a, water.b_components, zenith, values["closure"]), water.phases
+    return (water.a, water.b_components, zenith, values["kd_model_error"]), water.phases
 
 
 def _light(optics, phases, grid, transport, nodes):
     """(node + 1, wl) ln Ed(z)/Ed(0-) at nodes, then ln R at 0-."""
-    a, b, zenith, closure = optics
+    a, b, zenith, kd_model_error = optics
     water = oi.IOPs(np.asarray(grid), a, b, phases)
     sun = jnp.ones(len(grid), dtype=nodes.dtype)
     scene = oi.Scene(water, oi.Light(zenith, sun), oi.FlatSurface())
-    field = transport.irradiance(scene, nodes * (1.0 + closure), None)
+    field = transport.irradiance(scene, nodes * (1.0 + kd_model_error), None)
     down, up = field.Ed.value, field.Eu.value
     return jnp.concatenate([jnp.log(down / down[:1]), jnp.log(up[:1] / down[:1])])
 
@@ -122,8 +122,8 @@ def _curve_and_slopes(layout: Parameters, grid, transport, nodes, x):
     shapes = len(phases)
 
     def moved(by):
-        a, b, zenith, closure = optics
-        seen = (a + by[0], b + by[1 : shapes + 1, None], zenith + by[-2], closure + by[-1])
+        a, b, zenith, kd_model_error = optics
+        seen = (a + by[0], b + by[1 : shapes + 1, None], zenith + by[-2], kd_model_error + by[-1])
         return _light(seen, phases, grid, transport, nodes)
 
     value, inner = value_and_jacobian(moved, jnp.zeros(shapes + 3, x.dtype))

@@ -53,11 +53,10 @@ def fit_apparent(
     - `solar_zenith`: (station,) degrees in air, NaN or None where unknown.
     - `transport`, `priors`: as for `fit_profile`, with nuisances of shape twice as wide, and free
       departures of the spectrum of absorption (`fitting.water_model.unknowns.absorption_shapes`):
-      without
-      them a few bands claim to tell chlorophyll, CDOM and detritus of any sea apart, and err.
-      What all bands of a Kd have wrong together (`closure`: waves over the metres that it is the
-      mean of, tilt, metres other than those to 1/Kd) is free within 10 %; the red, where water
-      itself absorbs, fixes most of it.
+      without them a few bands claim to tell chlorophyll, CDOM and detritus of any sea apart, and
+      err.  The error that all bands of a Kd have in common (`kd_model_error`: waves over the metres
+      that it is the mean of, tilt, metres other than those to 1/Kd) is free within 10 %; the red,
+      where water itself absorbs, determines most of it.
 
     **Returns** a `Fit` per station, as `fit_profile` with a transport.
 
@@ -100,7 +99,7 @@ def fit_apparent(
 def _widened_priors(solar_zenith: float | None) -> list[Parameter]:
     """Unknowns of a water of which nothing is known, not even the kind of sea."""
     spreads = {p.name: 2.0 * p.spread for p in shape_nuisances() if p.spread}
-    spreads["closure"] = _LEVEL
+    spreads["kd_model_error"] = _LEVEL
     return [
         dataclasses.replace(p, spread=spreads.get(p.name, p.spread))
         for p in (*water_unknowns(solar_zenith), *absorption_shapes())

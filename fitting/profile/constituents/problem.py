@@ -68,7 +68,7 @@ def model_ed(parameters: Parameters, grid, transport: AbstractTransport, x, dept
     sun = jnp.ones(len(grid), dtype=x.dtype)
     zenith = jnp.minimum(values["solar_zenith"], 89.0)
     scene = oi.Scene(water, oi.Light(zenith, sun), oi.FlatSurface())
-    error = 1.0 + values["closure"]
+    error = 1.0 + values["kd_model_error"]
 
     def light(depths):
         asked = jnp.concatenate([jnp.zeros_like(depth[:1]), *depths]) * error

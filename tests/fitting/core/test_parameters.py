@@ -138,7 +138,7 @@ def test_every_nuisance_moves_the_water_as_its_docstring_says(nuisance):
     phytoplankton = 0.30 * 1.5**0.62
     away = (grid - np.array({"cdom_slope": 440.0}.get(nuisance.name, 400.0))) / 100
     expected = {
-        "tie": (0 * a, 0.08 * 0.5 * (400 / grid) ** 0.9),
+        "detritus_scattering_ratio": (0 * a, 0.08 * 0.5 * (400 / grid) ** 0.9),
         "cdom_slope": (0.15 * (np.exp(-1.936 * away) - np.exp(-1.76 * away)), 0 * b),
         "detritus_slope": (0.08 * (np.exp(-1.353 * away) - np.exp(-1.23 * away)), 0 * b),
         "detritus_exponent": (0 * a, 0.4 * ((400 / grid) ** 0.66 - (400 / grid) ** 0.6)),

@@ -106,8 +106,8 @@ def test_the_value_is_the_mode_less_its_bias_and_the_interval_is_about_the_mode(
     [
         (Parameter("cdom", 0.1, 2.3), 0.1, True),
         (Parameter("cdom", 0.1, 2.3), 0.6, False),  # nobody should quote a factor of 1.8
-        (Parameter("tie", 5.0, 0.3), 0.29, False),  # the prior speaks
-        (Parameter("tie", 5.0, 0.3), 0.1, True),
+        (Parameter("detritus_scattering_ratio", 5.0, 0.3), 0.29, False),  # the prior speaks
+        (Parameter("detritus_scattering_ratio", 5.0, 0.3), 0.1, True),
         (Parameter("kd", 0.1, None), 0.49, True),
         (Parameter("kd", 0.1, None), np.inf, False),
         (Parameter("kd", 0.1, None), np.nan, False),

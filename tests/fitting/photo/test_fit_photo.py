@@ -188,9 +188,9 @@ def test_noise_free_readings_return_the_truth():
 
 def test_a_photograph_does_not_claim_what_it_cannot_see():
     flags = fitted().identifiable
-    # CDOM and detritus differ by the tie alone, which only its prior knows.
+    # CDOM and detritus differ by the scattering of detritus alone, which only its prior knows.
     assert not flags["detritus"]
-    assert not flags["tie"]
+    assert not flags["detritus_scattering_ratio"]
     assert not flags["cdom_slope"]
     assert flags["gain_0_G"] == (fitted().sd["gain_0_G"] <= 0.5)
 
@@ -240,7 +240,7 @@ def test_a_known_constituent_sharpens_the_rest():
         assert fit.quantities[name].sd < fitted().quantities[name].sd
 
 
-@pytest.mark.parametrize("nuisance", ["tie", "veil_R", "veil_B"])
+@pytest.mark.parametrize("nuisance", ["detritus_scattering_ratio", "veil_R", "veil_B"])
 def test_the_sensitivity_table_is_what_moving_a_prior_does(nuisance):
     fit = fitted()
     old = next(p for p in fit.parameters if p.name == nuisance)
@@ -279,7 +279,7 @@ def _off(fit, of_water):
     ("nuisance", "value"),
     [
         ("backscatter", 1.2),
-        ("tie", 8.0),
+        ("detritus_scattering_ratio", 8.0),
         ("detritus_slope", 0.0105),
         ("phytoplankton_absorption", 1.4),
         ("phytoplankton_scattering", 1.5),

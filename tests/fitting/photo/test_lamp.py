@@ -75,7 +75,7 @@ def test_lamplit_charts_measure_attenuation():
     parameters, (readings,), light = prepare([photo(np.ones((17, 3)))], oi.TwoStream())
     values = {p.name: jnp.asarray(p.centre) for p in parameters}
     values |= {name: jnp.asarray(v) for name, v in TRUTH.items()}
-    values |= {"blind": jnp.asarray(0.3), "chart_0_1": jnp.asarray(1.1)}
+    values |= {"overlap_distance": jnp.asarray(0.3), "chart_0_1": jnp.asarray(1.1)}
     clean = np.asarray(predict(values, readings, oi.TwoStream(), light))
     fit = fit_photo(photo(clean))
     assert fit.converged

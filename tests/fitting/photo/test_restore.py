@@ -54,9 +54,9 @@ def test_the_water_comes_out_of_a_picture(tmp_path):
     assert np.nanmin(over.residual) < -0.15
     # The darkest pixels say so, and no more is taken off than they hold.
     np.testing.assert_array_equal(found.veil, 1.0)
-    assert found.sentence() is None
+    assert found.message() is None
     assert 0.5 < over.veil.max() < 0.9
-    assert "leave room for" in str(over.sentence())
+    assert "leave room for" in str(over.message())
     assert np.mean(over.reflectance < 0) < 0.02
     # One direction a row: each as if the whole picture were seen in it.
     tilt = np.full((10, 1), 90.0)

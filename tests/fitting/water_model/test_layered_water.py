@@ -52,7 +52,7 @@ def test_unknowns_of_layers_make_layers():
     for i, layer in enumerate(water.iops, start=1):
         own = {n: jnp.asarray(TRUTH[f"{n}_{i}"]) for n in ("chlorophyll", "cdom", "detritus")}
         np.testing.assert_allclose(layer.a, water_iops({**values, **own}, BANDS).a, rtol=1e-12)
-    stretched = layers_of({**values, "closure": jnp.asarray(0.1)}, BANDS)
+    stretched = layers_of({**values, "kd_model_error": jnp.asarray(0.1)}, BANDS)
     assert float(stretched.interfaces[0]) == pytest.approx(6.6)
     one = Parameters(water_unknowns(40.0))
     assert isinstance(water_of(one.values(one.prior().centre), BANDS), oi.IOPs)
@@ -162,7 +162,6 @@ def test_two_waters_and_their_edge_are_found(fitted):
 
 @pytest.mark.slow
 def test_a_casts_posterior_can_be_drawn_from():
-    pytest.importorskip("blackjax")
     clean = np.asarray(
         oi.irradiance(
             oi.Scene(
