@@ -75,8 +75,6 @@ def refused(arguments, capsys, folder):
 
 @pytest.mark.parametrize("name", PICTURES)
 def test_no_command_takes_a_broken_picture(name, tmp_path, capsys):
-    if name.endswith("nef"):
-        pytest.importorskip("rawpy")
     folder = tmp_path / "ein Bild – ünder water"
     folder.mkdir()
     path = picture(folder, name)

@@ -10,7 +10,6 @@ from fitting import Profile, fit_profile, fit_profiles
 from fitting.commands import main as cli
 from fitting.files.cast_file import Reading
 from fitting.profile.archive import Task, fit_archive
-from fitting.report.picture import picture as report
 
 BANDS = np.array([412.0, 490.0, 555.0])
 
@@ -63,19 +62,6 @@ def test_the_table_of_casts_agrees_with_each_fit():
     kd = fits[1].quantities["Kd"]
     np.testing.assert_allclose(data.Kd[1], kd.value)
     np.testing.assert_allclose(data.Kd_high[1], kd.interval(0.95)[1])
-
-
-def test_files_pass_the_cf_checker(tmp_path):
-    suite = pytest.importorskip("compliance_checker.suite")
-    paths = [write(tmp_path, cast, f"cast{i}.csv") for i, cast in enumerate(casts(2))]
-    list(fit_archive(paths, Task(tmp_path / "out")))
-    report.save(tmp_path / "fit.nc", fit_profile(casts(1)[0]))
-    checks = suite.CheckSuite()
-    checks.load_all_available_checkers()
-    for path in (tmp_path / "out" / "cast0.csv.kd.nc", tmp_path / "fit.nc"):
-        scores, _ = checks.run_all(checks.load_dataset(str(path)), ["cf:1.8"], [])["cf:1.8"]
-        errors = [r for r in scores if r.weight == 3 and r.msgs]
-        assert not errors, [r.msgs for r in errors]
 
 
 def write(folder, cast, name):
@@ -158,14 +144,15 @@ def test_bad_options_are_sentences(option, sentence, tmp_path, capsys):
 
 @pytest.mark.slow
 def test_a_cluster_writes_the_same_as_one_process(tmp_path):
-    distributed = pytest.importorskip("distributed")
+    from distributed import LocalCluster
+
     many = casts(6)
     files = [write(tmp_path, cast, f"cast{i}.csv") for i, cast in enumerate(many)]
     (tmp_path / "broken.csv").write_bytes(HOSTILE["nul.csv"])
     files.append(tmp_path / "broken.csv")
     task = Task(tmp_path / "one", Reading())
     list(fit_archive(files, task))
-    with distributed.LocalCluster(
+    with LocalCluster(
         n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None
     ) as cluster:
         other = Task(tmp_path / "many", Reading())

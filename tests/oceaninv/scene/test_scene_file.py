@@ -50,7 +50,6 @@ def _load(tmp_path, *changes, text=TEXT, **options):
     "path", [p for p in SCENES if p.stem != "north_sea"], ids=lambda path: path.stem
 )
 def test_every_scene_of_the_project(path):
-    pytest.importorskip("pvlib")
     found = oi.load_scene(path, bands=4)
     assert len(found.scene.wavelength) == 4
     assert found.title != path.stem
@@ -285,7 +284,6 @@ def test_flat_port():
 
 def test_clear_sky():
     """A summer noon: 1.3 to 1.5 W/m2/nm at 550 nm, a blue sky of some 12 % of it."""
-    pytest.importorskip("pvlib")
     direct, sky = oi.light.clear_sky([450.0, 550.0, 650.0], 30.0)
     assert 1.25 < direct[1] < 1.5
     share = np.pi * sky / (np.pi * sky + direct * np.cos(np.radians(30)))

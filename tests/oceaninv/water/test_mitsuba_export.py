@@ -1,4 +1,4 @@
-"""The export to Mitsuba: what stands in it, and that the renderer reads it."""
+"""The export to Mitsuba.  That Mitsuba loads it: tests/acceptance/mitsuba_export.py."""
 
 import jax.numpy as jnp
 import numpy as np
@@ -28,29 +28,6 @@ def test_medium():
     assert inner["phase_0"] == {"type": "isotropic"}
     np.testing.assert_allclose(inner["phase_1"]["g"], 0.8)
     np.testing.assert_allclose(outer["phase_1"]["g"], 0.924, atol=1e-3)
-
-
-def test_renderer_reads_it():
-    """Both forms load, and forward is forward."""
-    mi = pytest.importorskip("mitsuba")
-    if "scalar_spectral" not in mi.variants():
-        pytest.skip("this Mitsuba has no scalar_spectral variant")
-    mi.set_variant("scalar_spectral")
-    mi.load_dict(oi.mitsuba.mitsuba_medium(_water(), tabulated=True, angles=101))
-    text = oi.mitsuba.mitsuba_xml(_water())
-    mi.load_string(f'<scene version="3.0.0">{text}</scene>')
-    alone = oi.IOPs([500.0, 600.0], jnp.ones(2), jnp.ones(2), oi.phase.HenyeyGreenstein(0.5))
-    table = oi.mitsuba.mitsuba_medium(alone, tabulated=True)["phase"]
-    exact = oi.mitsuba.mitsuba_medium(alone)["phase"]
-    # HG's own class is exact already; a table of the same function must agree.
-    shapes = [mi.load_dict(p) for p in (table, exact)]
-    interaction = mi.MediumInteraction3f()
-    interaction.wi = mi.Vector3f(0.0, 0.0, 1.0)
-    context = mi.PhaseFunctionContext()
-    for cosine in (-0.9, 0.0, 0.9):
-        out = mi.Vector3f(float(np.sqrt(1 - cosine**2)), 0.0, float(cosine))
-        found = [float(np.ravel(s.eval_pdf(context, interaction, out)[1])[0]) for s in shapes]
-        np.testing.assert_allclose(found[0], found[1], rtol=1e-3)
 
 
 def test_refusals():

@@ -12,7 +12,7 @@ from fitting.files.cast_file import Reading, read_cast
 from fitting.profile.kd.par_depths import light_of_sensor, light_quantities, photon_weights
 from fitting.profile.kd.reflectances import _reflected
 from oceaninv.foundation.interface_optics import fresnel_from_air
-from tests.paths import ROOT
+from tests.fitting.synthetic_casts import ED_BELOW, LU_BELOW, write_turbid_cast
 
 BANDS = np.array([412.0, 490.0, 555.0])
 DEPTH = np.linspace(0.4, 12.0, 40)
@@ -53,7 +53,6 @@ def test_upward_light_without_noise_is_exact():
         ("Rrs", LEAVING * LU / ES),
     ):
         np.testing.assert_allclose(found[name], value, rtol=1e-5, err_msg=name)
-    pytest.importorskip("pvlib")
     # ASTM G173's sun outside the atmosphere, W m-2 nm-1 near these bands.
     np.testing.assert_allclose(found["nLw"] / found["Rrs"], [1.75, 1.95, 1.88], rtol=0.06)
 
@@ -140,21 +139,25 @@ def test_par_from_bands_is_the_integral_of_photons():
     assert photon_weights(np.array([412.0, 443.0, 490.0, 665.0])) is None
 
 
-def test_a_real_cast_has_a_plausible_reflectance(tmp_path):
-    path = ROOT.parent / "shared/data/casts/cops_iml4_20150630.csv"
-    if not path.exists():
-        pytest.skip("the C-OPS cast is not here")
+def test_the_reflectance_of_a_turbid_cast_is_the_true_one(tmp_path):
+    truth = write_turbid_cast(tmp_path)
     units = {"Ed": "uW cm-2 nm-1", "Lu": "uW cm-2 nm-1 sr-1", "surface": "uW cm-2 nm-1"}
-    profile = read_cast(path, Reading(units=units, depth_offset=-0.09, upward_offset=0.25))
+    reading = Reading(units=units, depth_offset=ED_BELOW, upward_offset=LU_BELOW)
+    profile = read_cast(truth.path, reading)
+    np.testing.assert_allclose(profile.Es, truth.Es, rtol=0.002)
     fit = fit_profile(profile, depth_range=(1.0, 8.0))
-    rrs, index = fit.quantities["Rrs"], profile.wavelength.tolist().index
-    # Turbid estuary: a green peak of some 0.005 /sr, an order less in the blue and the red.
-    assert 0.003 < rrs.value[index(555)] < 0.008
-    assert rrs.value[index(412)] < 0.4 * rrs.value[index(555)]
-    assert rrs.value[index(665)] < 0.6 * rrs.value[index(555)]
-    ratio = fit.quantities["KLu"].value / fit.quantities["Kd"].value
-    assert np.all(np.abs(ratio[index(443) : index(625)] - 1) < 0.15)
-    assert 2.5 < float(fit.quantities["Z_10"].value) < 4.5
+    rrs = fit.quantities["Rrs"]
+    # Bands of visible light; measured: 0.37 % at most, and 0.14 % for KLu.
+    lit = slice(profile.wavelength.tolist().index(443), profile.wavelength.tolist().index(694))
+    np.testing.assert_allclose(rrs.value[lit], truth.Rrs[lit], rtol=0.005)
+    low, high = rrs.interval(0.95)
+    assert np.all((low[lit] < truth.Rrs[lit]) & (truth.Rrs[lit] < high[lit]))
+    np.testing.assert_allclose(fit.quantities["KLu"].value[lit], truth.KLu[lit], rtol=0.002)
+    # Without the offset of the radiance sensor, Rrs is too low by exp(-KLu 0.34 m).
+    wrong = read_cast(truth.path, Reading(units=units, depth_offset=ED_BELOW))
+    shifted = fit_profile(wrong, depth_range=(1.0, 8.0)).quantities["Rrs"].value
+    expected = truth.Rrs * np.exp(-truth.KLu * (LU_BELOW - ED_BELOW))
+    np.testing.assert_allclose(shifted[lit], expected[lit], rtol=0.005)
 
 
 def test_the_command_writes_upward_light(tmp_path):
