@@ -1,8 +1,9 @@
 """Photographs of waters that the fit's model does not know, from an exact solver.
 
-    python -m tests.acceptance._mismatched [path of the specific IOPs]
+    python -m tests.acceptance._mismatched FOLDER
 
-writes tests/reference/mismatched_radiances.csv (about 10 minutes, nearly all of it PythonicDISORT).
+FOLDER holds the specific IOPs, siops_neil2011_hydrolight_lab.csv.  Writes
+tests/reference/mismatched_radiances.csv (about 10 minutes, nearly all of it PythonicDISORT).
 
 Twelve waters of pure water (Pope & Fry 1997, Morel 1974), chlorophyll 0.5-5 mg/m3, minerals 0.1-1
 g/m3 and CDOM 0.02-0.3 /m at 440 nm, with the specific IOPs that Neil, Cunningham & McKee 2011
@@ -13,7 +14,6 @@ Fournier-Forand function of that ratio.  None of this is what the default model 
 
 import csv
 import io
-import sys
 from pathlib import Path
 from typing import NamedTuple
 
@@ -22,9 +22,10 @@ import jax.numpy as jnp
 import numpy as np
 
 import oceaninv as oi
+from tests.acceptance._folder import data_folder
 
 ROOT = Path(__file__).parents[2]
-SPECIFIC = ROOT.parent / "shared/data/synthetic/siops_neil2011_hydrolight_lab.csv"
+SPECIFIC = "siops_neil2011_hydrolight_lab.csv"
 CACHE = ROOT / "tests/reference/mismatched_radiances.csv"
 WAVELENGTH = oi.spectrum.bands(16)
 KD_BAND = 490.0
@@ -198,7 +199,7 @@ def load() -> list[Water]:
 
 def main():
     jax.config.update("jax_enable_x64", True)
-    path = Path(sys.argv[1]) if len(sys.argv) > 1 else SPECIFIC
+    path = data_folder("_mismatched", SPECIFIC) / SPECIFIC
     waters = []
     for k, recipe in enumerate(recipes()):
         waters.append(compute(recipe, path))

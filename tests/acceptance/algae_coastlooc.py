@@ -14,13 +14,13 @@ split.
 """
 
 import csv
-import sys
 from pathlib import Path
 
 import numpy as np
 from scipy.optimize import nnls
 
 from oceaninv.foundation.tables import load
+from tests.acceptance._folder import data_folder
 
 NEEDED = (412, 440, 488, 510, 555, 676)
 SLOPES = np.linspace(0.008, 0.022, 15)
@@ -58,7 +58,7 @@ def spread(logs: np.ndarray) -> str:
 
 
 def main():
-    folder = Path(sys.argv[1])
+    folder = data_folder("algae_coastlooc", "coastlooc_spectra.csv", "coastlooc_stations.csv")
     stations = {row["station"]: row for row in table_of(folder / "coastlooc_stations.csv")}
     spectra: dict[str, dict[int, float]] = {}
     for row in table_of(folder / "coastlooc_spectra.csv"):

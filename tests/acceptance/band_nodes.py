@@ -2,6 +2,8 @@
 
     python -m tests.acceptance.band_nodes [cameras.csv]
 
+Prints the table and writes band_nodes.md beside this file; minutes.
+
 Least median + half the 95th percentile of CIEDE2000 against steps of 0.5 nm, by Nelder & Mead from
 equal bands.  Cameras: of the csv those that `camera_bands` does not test on (of the cameras that
 come with the project every other one).  Waters: 12 random bio-optical ones over a floor at 2-12 m,
@@ -12,6 +14,7 @@ import csv
 import dataclasses
 import sys
 import warnings
+from pathlib import Path
 
 import jax
 
@@ -98,8 +101,8 @@ def nodes_of(p, span) -> np.ndarray:
     return np.concatenate([[first, 3 * first - 2 * low], inner, [3 * last - 2 * high, last]])
 
 
-def fit(count: int, span) -> np.ndarray:
-    """The nodes."""
+def fit(count: int, span) -> list[str]:
+    """Rows of the table: equal bands and the nodes found."""
     at = np.arange(span[0] + 0.25, span[1], 0.5)
     day = 0.5 * oi.spectrum.daylight(at)
     prepared = []
@@ -121,18 +124,29 @@ def fit(count: int, span) -> np.ndarray:
     simplex = np.vstack([start, start + np.diag(step)])
     options = {"maxfev": 250, "initial_simplex": simplex}
     best = nodes_of(minimize(loss, start, method="Nelder-Mead", options=options).x, span)
+    rows = []
     for name, nodes in (("equal", equal), ("found", np.round(best, 1))):
         d = errors(nodes, at, ratio, prepared)
         shown = ", ".join(f"{x:.1f}" for x in nodes)
-        print(
-            f"{count} on {span}, {name}: ({shown})  median {np.median(d):.2f},"
-            f" 95 % {np.percentile(d, 95):.2f}",
-            flush=True,
+        rows.append(
+            f"| {count} | {span[0]:g}-{span[1]:g} | {name} | {shown} | {np.median(d):.2f} "
+            f"| {np.percentile(d, 95):.2f} |"
         )
-    return best
+        print(rows[-1], flush=True)
+    return rows
 
 
 if __name__ == "__main__":
+    given = " cameras.csv" if len(sys.argv) > 1 else ""
+    lines = [
+        "# Wavelengths that serve cameras best",
+        "",
+        f"`python -m tests.acceptance.band_nodes{given}`: CIEDE2000 against steps of 0.5 nm.",
+        "",
+        "| bands | nm | nodes | at, nm | median | 95 % |",
+        "|---|---|---|---|---|---|",
+    ]
     for span in SPANS:
         for count in COUNTS:
-            fit(count, span)
+            lines += fit(count, span)
+    Path(__file__).with_suffix(".md").write_text("\n".join(lines) + "\n")

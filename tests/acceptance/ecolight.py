@@ -1,8 +1,9 @@
 """PlaneParallel and TwoStream against 18 EcoLight runs, and what a fit through each recovers.
 
-    python -m tests.acceptance.ecolight [folder with ecolight6_runs.csv and the specific IOPs]
+    python -m tests.acceptance.ecolight FOLDER
 
-writes tests/acceptance/ecolight.md (a minute or two).  The runs: homogeneous endless water, sun at
+FOLDER holds ecolight6_runs.csv and siops_neil2011_hydrolight_lab.csv, the specific IOPs.
+Writes tests/acceptance/ecolight.md (a minute or two).  The runs: homogeneous endless water, sun at
 30 degrees, wind 5 m/s, clear sky, no inelastic processes, 405-625 nm.  Here the surface is flat,
 the sky uniform with a share of the irradiance, and particles and water together scatter as the
 Fournier-Forand function of the printed bb/b (between five fixed ratios, shapes are mixed); in one
@@ -19,7 +20,6 @@ earlier table had shown what 2 % alone gives (rows "2 % alone", which leave both
 
 import csv
 import functools
-import sys
 from pathlib import Path
 
 import jax
@@ -27,9 +27,10 @@ import jax.numpy as jnp
 import numpy as np
 
 import oceaninv as oi
+from tests.acceptance._folder import data_folder
 
 ROOT = Path(__file__).parents[2]
-FOLDER = ROOT.parent / "shared/data/synthetic"
+FILES = ("ecolight6_runs.csv", "siops_neil2011_hydrolight_lab.csv")
 TABLE = ROOT / "tests/acceptance/ecolight.md"
 RATIOS = (0.004, 0.01, 0.02, 0.035, 0.06)
 SHARE = 0.3
@@ -69,7 +70,7 @@ def fluxes(given, transport):
     return found.Ed.value, found.Eu.value
 
 
-def main(folder=FOLDER):
+def main(folder):
     jax.config.update("jax_enable_x64", True)
     runs, specific = (
         read(folder / "ecolight6_runs.csv"),
@@ -80,7 +81,8 @@ def main(folder=FOLDER):
     pick = {n: {k: v[runs["run"] == n] for k, v in runs.items()} for n in numbers}
     wavelength = pick[numbers[0]]["wavelength_nm"]
     lines = [
-        "Written by `python -m tests.acceptance.ecolight`: median of |relative error|, 18 runs x "
+        "Written by `python -m tests.acceptance.ecolight FOLDER`: median of |relative error|, "
+        "18 runs x "
         f"{len(wavelength)} bands.",
         "",
         "| model | sky share | Kd 0.005 m | Kd 1 m | Kd 2 m | R | Ed 0-2 m | Rrs |",
@@ -222,4 +224,4 @@ def fits(pick, both, free):
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]) if len(sys.argv) > 1 else FOLDER)
+    main(data_folder("ecolight", *FILES))

@@ -1,8 +1,9 @@
 """Constituents of 18 EcoLight runs through PlaneParallel, with 1 % noise.
 
-    python -m tests.acceptance.ecolight_noise [folder with ecolight6_runs.csv and specific IOPs]
+    python -m tests.acceptance.ecolight_noise FOLDER [--draws N]
 
-writes tests/acceptance/ecolight_noise.md (some minutes).  As
+FOLDER holds ecolight6_runs.csv and siops_neil2011_hydrolight_lab.csv.  Writes
+tests/acceptance/ecolight_noise.md (some minutes).  As
 `tests.acceptance.ecolight`, but Ed at 0, 1 and 2 m and R at 0 m carry independent noise of 1 %, and
 what nobody knows of the runs is unknown: the share of sky light (0.3 within 0.1), the level of R
 (within 2 %: the rough surface) and that of the slopes of ln Ed (within 1 %), and what the particles
@@ -28,7 +29,8 @@ import numpy as np
 from scipy.stats import binom, norm
 
 import oceaninv as oi
-from tests.acceptance.ecolight import FOLDER, LIGHT_DEPTHS, RATIOS, read, scene
+from tests.acceptance._folder import data_folder
+from tests.acceptance.ecolight import FILES, LIGHT_DEPTHS, RATIOS, read, scene
 
 NOISE = 0.01
 # Share of the sky, level of ln R and of the slopes of ln Ed, ln of what particles scatter back.
@@ -116,8 +118,9 @@ def table(errors, deviations, clean) -> list[str]:
 def main():
     """Fit, print and write the table."""
     parser = argparse.ArgumentParser()
-    parser.add_argument("folder", type=Path, nargs="?", default=FOLDER)
+    parser.add_argument("folder", type=Path)
     parser.add_argument("--draws", type=int, default=10)
+    data_folder("ecolight_noise", *FILES)
     asked = parser.parse_args()
     jax.config.update("jax_enable_x64", True)
     pick, both = problem(asked.folder)
@@ -142,8 +145,8 @@ def main():
     lines = [
         "# EcoLight runs with noise",
         "",
-        f"Written by `python -m tests.acceptance.ecolight_noise`: {len(pick)} runs, {asked.draws} "
-        f"draws each of {NOISE:.0%} noise on Ed at three depths and R.",
+        f"Written by `python -m tests.acceptance.ecolight_noise FOLDER`: {len(pick)} runs, "
+        f"{asked.draws} draws each of {NOISE:.0%} noise on Ed at three depths and R.",
         "",
         "| light | quantity | median error | without noise | RMS error / Cramer-Rao | 68 % "
         "covers (99 % band) | 95 % covers (99 % band) |",

@@ -1,8 +1,11 @@
 """The photo fit on real readings: one frame developed twice, one grey patch at many depths.
 
-    python -m tests.acceptance.photo_real
+    python -m tests.acceptance.photo_real FOLDER
 
-Needs ../shared/photos.  Prints tables and writes photo_real.md beside this file.
+FOLDER holds a frame of the Sea-thru data (Akkaynak & Treibitz 2019) as
+seathru_3374_bluegreen.png and seathru_3374_red.png, its ranges seathru_depth_3374.exr, and
+grey_patch_vs_depth.csv; none of them may be redistributed.
+Prints tables and writes photo_real.md beside this file.
 
 - One frame of four DGK charts at 4.7-9.8 m, developed with two white balances that differ by a
   full 3 x 3 matrix: each version fitted by itself, with the matrix unknown.  Patches by their
@@ -25,8 +28,14 @@ from fitting.core.result import quantile
 from fitting.images.chart_reading import read_chart
 from fitting.photo.forward_model import predict
 from fitting.photo.problem import prepare
+from tests.acceptance._folder import data_folder
 
-SHARED = Path(__file__).parents[3] / "shared" / "photos"
+FILES = (
+    "seathru_3374_bluegreen.png",
+    "seathru_3374_red.png",
+    "seathru_depth_3374.exr",
+    "grey_patch_vs_depth.csv",
+)
 # Column and row of the corners of the patches, by eye.
 CORNERS = {
     "A": [[387.5, 298], [424, 300], [422.5, 321], [385.5, 319.5]],
@@ -46,10 +55,10 @@ SCATTER = np.array([0.036, 0.023])
 EVERY = 10
 
 
-def frame(version: str):
+def frame(folder: Path, version: str):
     """(photo, sentences) of one version of the frame."""
-    picture = read_photograph(SHARED / f"seathru_3374_{version}.png", "linear")
-    ranges = read_range(SHARED / "seathru_depth_3374.exr", picture.values.shape[:2])
+    picture = read_photograph(folder / f"seathru_3374_{version}.png", "linear")
+    ranges = read_range(folder / "seathru_depth_3374.exr", picture.values.shape[:2])
     charts, said = [], []
     for name, corners in CORNERS.items():
         found = read_chart(picture, corners, "DGK18")
@@ -73,11 +82,11 @@ def frame(version: str):
     return photo, said
 
 
-def two_versions() -> str:
+def two_versions(folder: Path) -> str:
     lines = ["## One frame, developed twice\n"]
     fits = {}
     for version in ("bluegreen", "red"):
-        photo, said = frame(version)
+        photo, said = frame(folder, version)
         fits[version] = fit_photo(photo, matrix=True)
         fit = fits[version]
         lines.append(
@@ -102,9 +111,9 @@ def two_versions() -> str:
     return "\n".join(lines)
 
 
-def binned():
+def binned(folder: Path):
     """(values (bin, 3), depths) of the shallow readings, and the deep ones one by one."""
-    table = np.loadtxt(SHARED / "grey_patch_vs_depth.csv", delimiter=",", comments="#")
+    table = np.loadtxt(folder / "grey_patch_vs_depth.csv", delimiter=",", comments="#")
     depth, values = table[:, 3], table[:, :3]
     rows = []
     for start in np.arange(0.0, SHALLOW, BIN):
@@ -125,8 +134,8 @@ def one_patch(depth: float, values, count: float):
     return Photo([chart], depth=depth, depth_sd=0.02, exposure=1.0, exposure_sd=1.0)
 
 
-def grey_patch() -> str:
-    shallow, seen, depth = binned()
+def grey_patch(folder: Path) -> str:
+    shallow, seen, depth = binned(folder)
     photos = [one_patch(d, values, n) for values, d, n in shallow]
     fit = fit_photo(photos)
     # The deep ones in bins of depth for the prediction, which is smooth in it.
@@ -203,11 +212,12 @@ def grey_patch() -> str:
 
 
 def main():
+    folder = data_folder("photo_real", *FILES)
     quick_compilation()
     jax.config.update("jax_enable_x64", True)
-    report = "# Photo fit, real readings\n\n`python -m tests.acceptance.photo_real`\n\n"
+    report = "# Photo fit, real readings\n\n`python -m tests.acceptance.photo_real FOLDER`\n\n"
     for part in (two_versions, grey_patch):
-        found = part() + "\n"
+        found = part(folder) + "\n"
         print(found, flush=True)
         report += found
     Path(__file__).with_name("photo_real.md").write_text(report)

@@ -2,7 +2,8 @@
 
     python -m tests.acceptance.photo_rows [design | rows | weak | regions | draws | ranks]
 
-Prints the tables and writes photo_<part>.md beside this file; minutes each.
+Prints the tables and writes photo_rows_<part>.md beside this file (of `rows`: photo_rows.md);
+minutes each.
 
 Protocols (`_photo_protocols.py`): ColorCheckers and open water by a Nikon D850, water by the fit's
 own model, white balance unknown throughout.
@@ -382,6 +383,11 @@ def _uniform(name: str, below: np.ndarray, sd: np.ndarray) -> str:
     return f"| {name} | " + " | ".join(cells) + " |"
 
 
+def table_of(part: str) -> Path:
+    """The file of a part's table."""
+    return Path(__file__).with_name(f"photo_rows{'' if part == 'rows' else f'_{part}'}.md")
+
+
 def main():
     quick_compilation(drawing=True)
     jax.config.update("jax_enable_x64", True)
@@ -394,7 +400,7 @@ def main():
         "ranks": ranks,
     }
     for name in sys.argv[1:] or list(parts):
-        path, lines = Path(__file__).with_name(f"photo_{name}.md"), []
+        path, lines = table_of(name), []
         for part in parts[name]():
             lines.append(part)
             print(part, flush=True)

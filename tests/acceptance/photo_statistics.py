@@ -2,7 +2,7 @@
 
     python -m tests.acceptance.photo_statistics [matched | mismatched | mismatched_known]
 
-Prints the tables and writes them beside this file as photo_<part>.md.  Seeded;
+Prints the tables and writes them beside this file as photo_statistics_<part>.md.  Seeded;
 a few minutes each.
 
 Protocol: one frame at 5 m by a Nikon D850; 24 patches (colour-science's ColorChecker 2005) at 1, 2
@@ -418,7 +418,7 @@ def main():
         if name in (sys.argv[1:] or tables):
             report = table()
             print(report)
-            Path(__file__).with_name(f"photo_{name}.md").write_text(report + "\n")
+            Path(__file__).with_name(f"photo_statistics_{name}.md").write_text(report + "\n")
 
 
 if __name__ == "__main__":

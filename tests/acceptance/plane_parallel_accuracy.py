@@ -18,7 +18,7 @@ import oceaninv as oi
 from oceaninv.water.phase import HenyeyGreenstein, Isotropic, Seawater, petzold
 
 ROOT = Path(__file__).parents[2]
-REFERENCE = ROOT.parent / "shared" / "reference" / "radiative_transfer.json"
+REFERENCE = ROOT / "tests/reference/radiative_transfer.json"
 TABLE = ROOT / "tests/acceptance/plane_parallel_accuracy.md"
 
 

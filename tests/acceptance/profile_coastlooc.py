@@ -16,7 +16,6 @@ stands beside the inverse of Kd(490) by Morel & Maritorena 2001 and beside one c
 the median of the measured values themselves, which knows what no fit may know.
 """
 
-import argparse
 import collections
 import csv
 from pathlib import Path
@@ -30,6 +29,7 @@ from fitting import fit_apparent
 from fitting.core.result import quantile
 from fitting.water_model.unknowns import water_iops
 from oceaninv.water.attenuation import kd_lee2005, kd_morel_maritorena2001
+from tests.acceptance._folder import data_folder
 
 LEAST_BANDS = 6
 RANGE = (405.0, 670.0)
@@ -236,6 +236,4 @@ def fitted(data, transport, spread) -> tuple[str, np.ndarray, float]:
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser()
-    parser.add_argument("folder", type=Path)
-    main(parser.parse_args().folder)
+    main(data_folder("profile_coastlooc", "coastlooc_spectra.csv", "coastlooc_stations.csv"))

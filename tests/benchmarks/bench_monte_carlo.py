@@ -6,6 +6,7 @@ One scene: a camera that looks straight down into 10 m of water over a Lambertia
 20 bands.  Figure of merit: CPU microseconds times relative variance, per band (less is better); CPU
 time of all threads, so that a busy machine does not count.  The LLVM variants of Mitsuba need LLVM
 16 or later and DRJIT_LIBLLVM_PATH.
+A run is written down in monte_carlo.md.
 """
 
 import sys

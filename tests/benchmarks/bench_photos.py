@@ -11,12 +11,7 @@ Processor seconds of calls after the first (which compiles and is printed apart)
 - `batch`: `fit_photos` of 100 such charts, each of its own water, against one.
 - `lanes`: residuals and their Jacobian of 32 photographs side by side, against one.
 
-Measured on one of two busy cores, for readings that scatter as stated: `charts` 0.12 s (first 43 s,
-compiling), 37 unknowns; `pixels` 0.29 s (first 56 s), c(550) known to 2 %.  `batch`: 16 s for 100
-photographs, 0.117 s for the first, 136 times; the average photograph takes longer, for its valleys
-are walked (two thirds of the time).  They come one after the
-other: side by side in 32 lanes a Jacobian takes 0.77 and 0.90 of one alone (`lanes`, twice), so
-that on two cores 100 photographs cannot take less than some 40 times one.
+A run is written down in photos.md.
 """
 
 import sys

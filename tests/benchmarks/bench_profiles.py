@@ -12,6 +12,7 @@ Processor time of both, in the same run, errors given; the first call, which com
   cluster of one worker process on this machine, both after a run that compiles; what scheduler,
   client and worker spend together.
 - `memory`: peak resident memory of so many casts, Kd alone, that come one by one.
+A run is written down in profiles.md.
 """
 
 import resource
