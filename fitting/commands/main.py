@@ -2,6 +2,7 @@
 
 import os
 import sys
+import warnings
 from pathlib import Path
 
 import typer
@@ -64,10 +65,21 @@ def _set_up(drawing: bool = False, fitting: bool = False) -> None:
     jax.config.update("jax_enable_compilation_cache", not fitting)
 
 
+def _show_warning(message, category, filename, lineno, file=None, line=None) -> None:
+    if issubclass(category, UserWarning):
+        print(f"oceaninv: {message}", file=sys.stderr)
+
+
 def run(arguments: list[str]) -> int:
-    """Run one command; returns the exit code, 3 after a sentence about bad input."""
+    """Run one command; returns the exit code, 3 after a sentence about bad input.
+
+    A UserWarning is printed as its sentence; other warnings, which name lines of code, are not.
+    """
     try:
-        app(arguments, standalone_mode=True)
+        with warnings.catch_warnings():
+            warnings.simplefilter("always", UserWarning)
+            warnings.showwarning = _show_warning
+            app(arguments, standalone_mode=True)
     except (ValueError, OSError) as error:
         print(f"oceaninv: {error}", file=sys.stderr)
         return INPUT_ERROR

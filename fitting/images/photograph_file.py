@@ -1,12 +1,17 @@
 """Photographs and range maps from files, and the patches of charts in them."""
 
 import dataclasses
-from collections.abc import Mapping
+import warnings
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from jaxtyping import Bool, Float
+
+from fitting.images.saturation import saturation_spike
+from fitting.images.stated_encoding import LINEAR, SRGB, Encoding, stated_encoding
+from oceaninv.foundation.image_file import read_image, read_numpy
 
 if TYPE_CHECKING:
     from fitting.observations.photo import Pixels
@@ -15,6 +20,8 @@ _RAW = {".nef", ".cr2", ".cr3", ".arw", ".dng", ".orf", ".raf", ".rw2", ".pef", 
 _JPEG = {".jpg", ".jpeg"}
 # Largest picture read, pixels: beyond it 1.2 GB of memory are wanted.
 _MOST = 60_000_000
+# Share of a raw file's white level above which a spike of its counts is taken for saturation.
+_LEAST_SATURATION = 0.7
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -66,11 +73,19 @@ class Photograph:
 def read_photograph(path: str | Path, encoding: str | None = None) -> Photograph:
     """A photograph as linear camera values.
 
-    `encoding`: "linear" or "sRGB" (inverted, 5 % added to every pixel, for no camera follows the
-    curve exactly); None takes EXR, 16-bit PNG and TIFF and raw files as linear, and refuses 8-bit
-    files and JPEG, whose curve nobody knows.
+    `encoding`: "linear" or "sRGB" (inverted).  None takes raw files and EXR as linear, a 16-bit
+    PNG or TIFF by what it states (chunks cICP, iCCP, sRGB, gAMA; ICC profile) and as linear where
+    it states nothing, and refuses 8-bit files and JPEG, whose curve is seldom what they state.
+    Decoding a curve adds 5 % to every pixel, for no camera follows such a curve exactly.
 
-    Raises ValueError with a sentence for what cannot be read as three linear channels.
+    Raw files are the counts above black level as a share of the stated white level, two by two
+    pixels averaged to one, without demosaicing.  Pixels at the white level, or in a spike of the
+    histogram below it, are masked.  So are pixels that are transparent, and those of an EXR
+    outside its data window.
+
+    **Raises:** ValueError with a sentence for what cannot be read as three linear channels.
+    **Warns:** UserWarning where the file contradicts `encoding`, for transparent pixels, and where
+    a raw file is saturated below its stated white level.
     """
     path = _existing(path)
     if encoding not in (None, "linear", "sRGB"):
@@ -82,33 +97,35 @@ def read_photograph(path: str | Path, encoding: str | None = None) -> Photograph
             'encoding="sRGB", which adds 5 % to every reading.'
         )
     if suffix in _RAW:
-        values, full, exif, clipped = _read_raw(path)
+        values, step, exif, usable = _read_raw(path)
+        largest, curve = None, SRGB if encoding == "sRGB" else LINEAR
+        top = 1.0
     else:
-        values, full, exif, clipped = *_read_image(path), None
-    if values.ndim != 3 or values.shape[-1] not in (3, 4):
-        channels = values.shape[2] if values.ndim == 3 else 1
-        raise ValueError(f"{path} has {channels} channel(s); red, green and blue wanted.")
-    values = values[:, :, :3]
+        image = read_image(path, _MOST, _colours, "red, green and blue")
+        values, usable = _opaque(path, image.values.astype(np.float64))
+        largest, exif = image.largest, _exif(image.attributes)
+        if largest not in (None, 255, 65535):
+            raise ValueError(f"{path} has integers up to {largest}; 8 or 16 bits are read.")
+        step = 0.0 if largest is None else 1.0 / largest / np.sqrt(12.0)
+        top = np.inf if largest is None else 1.0
+        if largest == 255 and encoding is None:
+            raise ValueError(
+                f'{path} has 8 bits: say encoding="linear" if its developer was set so, or "sRGB".'
+            )
+        curve = _curve(path, encoding, image.attributes)
     if min(values.shape[:2]) < 8:
         raise ValueError(
             f"{path} is {values.shape[1]} x {values.shape[0]} pixels; at least 8 x 8 are needed."
         )
-    if full == 255 and encoding is None:
-        raise ValueError(
-            f'{path} has 8 bits: say encoding="linear" if its developer was set so, or "sRGB".'
-        )
-    step = 0.0 if full is None else 1.0 / full / np.sqrt(12.0)
     relative = 0.0
-    if encoding == "sRGB":
-        bright = ((np.maximum(values, 0.0) + 0.055) / 1.055) ** 2.4
-        values = np.asarray(np.where(values <= 0.04045, values / 12.92, bright))
+    if not curve.linear:
+        values = curve.decode(values)
         relative, step = 0.05, 2.2 * step
-    top = 1.0 if full is not None else np.inf
-    mask = np.isfinite(values) & (values > 0) & (values < top)
-    if clipped is not None:
-        mask &= ~clipped[:, :, None]
+    mask = np.isfinite(values) & (values > 0) & (values < top) & usable[:, :, None]
     if not np.any(np.isfinite(values) & (values > 0)):
         raise ValueError(f"{path} is black: no pixel is above zero.")
+    if not usable.any():
+        raise ValueError(f"{path} has no pixel that can be used: all are transparent or clipped.")
     if not mask.any():
         raise ValueError(f"{path} is clipped everywhere: no pixel is below full scale.")
     return Photograph(values, mask, step, relative, exif, str(path))
@@ -123,38 +140,67 @@ def _existing(path: str | Path) -> Path:
     return path
 
 
-def _read_image(path: Path) -> tuple[Any, int | None, dict[str, Any]]:
-    """Values (1 at full scale), full scale in counts (None for floats), EXIF."""
-    import OpenImageIO as oiio
+def _colours(names: tuple[str, ...]) -> tuple[int, int] | None:
+    """Red, green, blue and, where it follows, alpha."""
+    short = [name.casefold() for name in names]
+    if short[:3] != ["r", "g", "b"] or (len(names) > 4 and short[4].startswith("channel")):
+        return None
+    return 0, 4 if short[3:4] == ["a"] else 3
 
-    source = oiio.ImageInput.open(str(path))
-    if source is None:
-        reason = oiio.geterror() or "unknown format"
-        raise ValueError(f"{path} cannot be read as a picture: {reason.splitlines()[0]}")
+
+def _opaque(path: Path, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(row, column, 3) colours, and which pixels are not transparent."""
+    if values.shape[2] == 3:
+        return values, np.ones(values.shape[:2], dtype=bool)
+    opaque = values[:, :, 3] >= 1.0 - 1e-3
+    left_out = int(np.sum(~opaque))
+    if not opaque.any():
+        raise ValueError(
+            f"{path}: alpha is below 1 in every pixel, so none shows the scene alone: save it "
+            "without alpha."
+        )
+    if left_out:
+        warnings.warn(
+            f"{path}: {left_out} pixels are transparent (alpha below 1) and left out.",
+            stacklevel=3,
+        )
+    return values[:, :, :3], opaque
+
+
+def _curve(path: Path, encoding: str | None, attributes: Mapping[str, Any]) -> Encoding:
+    """The encoding asked for, else the stated one, else linear; a contradiction is warned of."""
+    asked = {None: None, "linear": LINEAR, "sRGB": SRGB}[encoding]
     try:
-        spec = source.spec()
-        if spec.width * spec.height > _MOST:
-            raise ValueError(
-                f"{path} has {spec.width} x {spec.height} pixels; at most {_MOST // 10**6} "
-                "megapixels are read: bin it down first."
-            )
-        values = source.read_image(oiio.FLOAT)
-        if values is None or source.has_error:
-            reason = (source.geterror() or "it ends early").splitlines()[0]
-            raise ValueError(f"{path} is damaged or cut short: {reason}")
-        full = {"uint8": 255, "uint16": 65535}.get(str(spec.format))
-        names = {"ExposureTime": "ExposureTime", "FNumber": "FNumber", "Make": "Make"}
-        names |= {"Model": "Model", "Exif:PhotographicSensitivity": "ISO", "Exif:Flash": "Flash"}
-        names |= {"Exif:ISOSpeedRatings": "ISO", "DateTime": "DateTime"}
-        found = ((short, spec.getattribute(long)) for long, short in names.items())
-        exif = {short: value for short, value in found if value is not None}
-    finally:
-        source.close()
-    return np.asarray(values, dtype=np.float64), full, exif
+        stated = stated_encoding(path, attributes)
+    except ValueError:
+        if asked is None:
+            raise
+        return asked
+    if asked is None:
+        return LINEAR if stated is None else stated
+    alike = stated is None or (stated.linear if asked.linear else stated.name.startswith(SRGB.name))
+    if stated is not None and not alike:
+        warnings.warn(
+            f"{path} states {stated.name}, which contradicts the encoding {encoding!r} that was "
+            f"asked for; it is read as {encoding}.",
+            stacklevel=3,
+        )
+    return asked
 
 
-def _read_raw(path: Path) -> tuple[Any, int | None, dict[str, Any], np.ndarray]:
-    """Linear camera channels at half size (no demosaicing), full scale, EXIF, clipped pixels."""
+def _exif(attributes: Mapping[str, Any]) -> dict[str, Any]:
+    names = {"ExposureTime": "ExposureTime", "FNumber": "FNumber", "Make": "Make"}
+    names |= {"Model": "Model", "Exif:PhotographicSensitivity": "ISO", "Exif:Flash": "Flash"}
+    names |= {"Exif:ISOSpeedRatings": "ISO", "DateTime": "DateTime"}
+    return {short: attributes[long] for long, short in names.items() if long in attributes}
+
+
+def _read_raw(path: Path) -> tuple[np.ndarray, float, dict[str, Any], np.ndarray]:
+    """Linear camera channels at half size (no demosaicing), step, EXIF, pixels not clipped.
+
+    Scaled by the stated black and white levels alone: LibRaw's automatic maximum, which follows
+    the brightest pixel of a frame, is switched off.
+    """
     try:
         import rawpy
     except ImportError:
@@ -166,49 +212,112 @@ def _read_raw(path: Path) -> tuple[Any, int | None, dict[str, Any], np.ndarray]:
                     f"{path} has {raw.sizes.width} x {raw.sizes.height} pixels; at most "
                     f"{4 * _MOST // 10**6} megapixels of raw files are read."
                 )
-            values = raw.postprocess(
-                half_size=True,
-                gamma=(1, 1),
-                no_auto_bright=True,
-                no_auto_scale=False,
-                use_camera_wb=False,
-                user_wb=[1.0, 1.0, 1.0, 1.0],
-                output_color=rawpy.ColorSpace.raw,
-                output_bps=16,
-                user_flip=0,
-            )
-            counts = raw.raw_image_visible >= raw.white_level
-    except rawpy.LibRawError as error:
-        raise ValueError(f"{path} cannot be read as a raw file: {error}") from None
-    rows, columns = values.shape[0], values.shape[1]
-    blocks = counts[: 2 * rows, : 2 * columns]
-    blocks = np.pad(blocks, [(0, 2 * rows - blocks.shape[0]), (0, 2 * columns - blocks.shape[1])])
-    clipped = blocks.reshape(rows, 2, columns, 2).any(axis=(1, 3))
+            black, white = raw.black_level_per_channel, int(raw.white_level)
+            if not max(black) < white:
+                raise ValueError(
+                    f"{path} states a white level of {white}, not above its black level of "
+                    f"{max(black)}: its counts cannot be scaled."
+                )
+            step = 1.0 / (white - max(black)) / np.sqrt(12.0)
+            pattern = raw.raw_pattern
+            if pattern is not None and pattern.shape == (2, 2) and raw.color_desc == b"RGBG":
+                tile = raw.raw_colors_visible[:2, :2]
+                values, usable = _binned(path, raw.raw_image_visible, tile, black, white)
+            else:
+                values = raw.postprocess(
+                    half_size=True,
+                    gamma=(1, 1),
+                    no_auto_bright=True,
+                    adjust_maximum_thr=0.0,
+                    user_wb=[1.0, 1.0, 1.0, 1.0],
+                    output_color=rawpy.ColorSpace.raw,
+                    output_bps=16,
+                    user_flip=0,
+                )
+                values = values / 65535.0
+                usable = np.all(values < 1.0, axis=2)
+    except (rawpy.LibRawError, OSError, MemoryError):
+        raise ValueError(
+            f"{path} cannot be read as a raw file: it is damaged, cut short, or of a format that "
+            "LibRaw does not know."
+        ) from None
+    if values.ndim != 3 or values.shape[2] != 3:
+        raise ValueError(f"{path} is no raw file of red, green and blue.")
     from fitting.images._raw_exif import raw_exif
 
-    return values / 65535.0, 65535, raw_exif(path), np.asarray(clipped)
+    return values, step, raw_exif(path), usable
+
+
+def _binned(
+    path: Path, counts: np.ndarray, tile: np.ndarray, black: Sequence[int], white: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Two by two counts as one pixel of shares of the white level, and which are not clipped.
+
+    `tile`: (2, 2) LibRaw's number of the colour of each count, 1 and 3 both green.
+    """
+    rows, columns = counts.shape[0] // 2, counts.shape[1] // 2
+    sums, number = np.zeros((rows, columns, 3)), np.zeros(3)
+    usable = np.ones((rows, columns), dtype=bool)
+    below: dict[float, int] = {}
+    for down in (0, 1):
+        for across in (0, 1):
+            colour = int(tile[down, across])
+            plane = counts[down : 2 * rows : 2, across : 2 * columns : 2].astype(np.float64)
+            share = (plane - black[colour]) / (white - black[colour])
+            clipped = plane >= white
+            spike = None if clipped.any() else saturation_spike(share)
+            if spike is not None and spike >= _LEAST_SATURATION:
+                clipped = share >= 0.999 * spike
+                level = float(plane.max())
+                below[level] = below.get(level, 0) + int(clipped.sum())
+            usable &= ~clipped
+            sums[:, :, colour % 3 if colour < 3 else 1] += share
+            number[colour if colour < 3 else 1] += 1
+    if below:
+        named = ", ".join(f"{n} at {level:g}" for level, n in sorted(below.items()))
+        warnings.warn(
+            f"{path}: the sensor saturates below the stated white level of {white} counts; "
+            f"{named} are left out.",
+            stacklevel=4,
+        )
+    return sums / number, usable
 
 
 def read_range(path: str | Path, shape: tuple[int, int]) -> Float[np.ndarray, "row column"]:
     """A range map in metres at the pixels of a photograph of `shape` (row, column); NaN: missing.
 
     EXR and float TIFF are in metres, uint16 TIFF and PNG in millimetres, npz holds one array in
-    metres, .bin is a COLMAP depth map.  0, negative, NaN and infinite are missing.  A map of
-    another size is brought to the photograph's by its nearest pixel; it must have the same shape
-    to 3 %.
+    metres, .bin is a COLMAP depth map.  0, negative, NaN and infinite are missing, and so are
+    markers: 65535 in 16-bit files, and the largest value where it is above 100 m and ten times
+    any other (1e10, 65504, 9999 ...).  A map of another size is brought to the photograph's by
+    its nearest pixel; it must have the same shape to 3 %.
+
+    **Raises:** ValueError with a sentence for what is no range map of this photograph.
+    **Warns:** UserWarning with the count of marked pixels, and where the size had to be changed:
+    of an undistorted picture, a map fits the original photograph only after both are undistorted.
     """
     path = _existing(path)
     suffix = path.suffix.lower()
+    marked, marker = None, "65535"
     if suffix == ".npz":
-        values = _read_npz(path)
+        values = read_numpy(path, _MOST)
     elif suffix == ".bin":
         values = _read_colmap(path)
     else:
-        values, full, _ = _read_image(path)
-        values = values[:, :, 0] if values.ndim == 3 else values
-        if full == 255:
+        image = read_image(path, _MOST, _depth, "one plane of depths")
+        values = image.values.astype(np.float64)
+        if np.any(values[:, :, :1] != values):
+            raise ValueError(f"{path} is a picture in colours: a range map is one plane of depths.")
+        values = values[:, :, 0]
+        if image.largest == 255:
             raise ValueError(f"{path} has 8 bits: a range map needs float metres or 16-bit mm.")
-        if full == 65535:
+        if image.largest not in (None, 65535):
+            raise ValueError(
+                f"{path} has integers up to {image.largest}: a range map needs float metres or "
+                "16-bit mm."
+            )
+        if image.largest == 65535:
+            marked = values >= 1.0
             values = values * 65.535
     values = np.asarray(values, dtype=np.float64)
     if values.ndim != 2:
@@ -220,13 +329,48 @@ def read_range(path: str | Path, shape: tuple[int, int]) -> Float[np.ndarray, "r
             f"{shape[0]}: another shape, so not of this photograph (or turned)."
         )
     values = np.where(np.isfinite(values) & (values > 0), values, np.nan)
+    if marked is None:
+        marked = _far_beyond_all_others(values)
+        marker = f"the marker {np.nanmax(values, initial=0.0):.6g}"
+    if marked.any():
+        warnings.warn(
+            f"{path}: {int(marked.sum())} of {marked.size} pixels hold {marker} and are taken as "
+            "missing.",
+            stacklevel=2,
+        )
+        values = np.where(marked, np.nan, values)
     if not np.isfinite(values).any():
-        raise ValueError(f"{path} holds no range: every pixel is 0, negative, NaN or infinite.")
-    rows, columns = (
-        np.minimum(((np.arange(n) + 0.5) * have / n).astype(int), have - 1)
-        for n, have in zip(shape, values.shape, strict=True)
+        raise ValueError(f"{path} holds no range: every pixel is 0, negative, NaN or a marker.")
+    if values.shape == tuple(shape):
+        return values
+    warnings.warn(
+        f"{path} is {values.shape[1]} x {values.shape[0]}, the photograph {shape[1]} x {shape[0]}: "
+        "the map is resized to it by its nearest pixels.  If the map was made from an undistorted "
+        "picture, give that picture, for its pixels lie elsewhere.",
+        stacklevel=2,
     )
-    return values[np.ix_(rows, columns)]
+    from skimage.transform import resize
+
+    nearest = resize(values, shape, order=0, mode="edge", anti_aliasing=False, preserve_range=True)
+    return np.asarray(nearest)
+
+
+def _depth(names: tuple[str, ...]) -> tuple[int, int] | None:
+    """The channel of depths, by its name; else all of a picture of up to four equal channels."""
+    short = [name.casefold().rsplit(".", 1)[-1] for name in names]
+    for name in ("z", "depth", "distance", "range"):
+        if name in short:
+            return short.index(name), short.index(name) + 1
+    colours = len(names) - (short[-1] == "a" and len(names) > 1)
+    return (0, colours) if colours <= 3 else None
+
+
+def _far_beyond_all_others(values: np.ndarray) -> np.ndarray:
+    """Where the largest value stands, if it is above 100 m and ten times the next."""
+    top = np.nanmax(values, initial=0.0)
+    others = values[values < top]
+    next_to_it = others.max() if others.size else np.inf
+    return (values == top) & bool(top > 100.0 and top >= 10.0 * next_to_it)
 
 
 def pixels_of(photograph: Photograph, distance: Any, **rest: Any) -> "Pixels":
@@ -245,38 +389,25 @@ def pixels_of(photograph: Photograph, distance: Any, **rest: Any) -> "Pixels":
     return Pixels(photograph.values[usable], distance[usable], **rest)
 
 
-def _read_npz(path: Path) -> np.ndarray:
-    import zipfile
-    import zlib
-
-    try:
-        # A handle of our own: numpy leaves its own open when the archive is damaged.
-        with open(path, "rb") as handle, np.load(handle, allow_pickle=False) as file:
-            if len(file.files) != 1:
-                raise ValueError(
-                    f"{path} holds {len(file.files)} arrays ({', '.join(file.files)}); one wanted."
-                )
-            try:
-                values = file[file.files[0]]
-            except ValueError:  # objects, or an array cut short
-                values = np.zeros(0, dtype=object)
-            if values.dtype.kind not in "fiu":
-                raise ValueError(f"{path} holds no array of numbers.")
-            return values
-    except (zipfile.BadZipFile, zlib.error, OSError, EOFError) as error:
-        raise ValueError(f"{path} is no readable npz file: {error}") from None
-
-
 def _read_colmap(path: Path) -> np.ndarray:
     """COLMAP's dense maps: "width&height&channels&", then float32 in column-major order."""
-    raw = path.read_bytes()
-    parts = raw.split(b"&", 3)
-    if len(parts) < 4 or not all(part.isdigit() for part in parts[:3]):
-        raise ValueError(f"{path} does not begin like a COLMAP map: width&height&channels&.")
-    width, height, channels = (int(part) for part in parts[:3])
-    if channels != 1 or len(parts[3]) != 4 * width * height:
-        raise ValueError(
-            f"{path} should hold {width} x {height} x {channels} floats of one channel, but has "
-            f"{len(parts[3])} bytes: cut short, or no depth map."
-        )
-    return np.frombuffer(parts[3], dtype="<f4").reshape((width, height), order="F").T
+    with open(path, "rb") as file:
+        parts = file.read(64).split(b"&", 3)
+        if len(parts) < 4 or not all(part.isdigit() for part in parts[:3]):
+            raise ValueError(f"{path} does not begin like a COLMAP map: width&height&channels&.")
+        width, height, channels = (int(part) for part in parts[:3])
+        start = sum(len(part) + 1 for part in parts[:3])
+        size = path.stat().st_size - start
+        if channels != 1 or size != 4 * width * height:
+            raise ValueError(
+                f"{path} should hold {width} x {height} x {channels} floats of one channel, but "
+                f"has {size} bytes: cut short, or no depth map."
+            )
+        if width * height > _MOST:
+            raise ValueError(
+                f"{path} has {width} x {height} pixels; at most {_MOST // 10**6} megapixels are "
+                "read."
+            )
+        file.seek(start)
+        raw = file.read(size)
+    return np.frombuffer(raw, dtype="<f4").reshape((width, height), order="F").T

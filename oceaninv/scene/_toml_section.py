@@ -9,7 +9,11 @@ from typing import Any
 
 import numpy as np
 
+from oceaninv.foundation.image_file import read_image, read_numpy
+
 _MISSING = object()
+# Largest picture of a scene, pixels: three channels of it in float64 take 0.6 GB.
+_MOST_PIXELS = 25_000_000
 
 
 class Section:
@@ -198,26 +202,15 @@ def grid(path: Path) -> np.ndarray:
 
 def picture(path: Path) -> np.ndarray:
     """A picture, (row, column, channel): .npy, an .npz of one array, or what OpenImageIO reads
-    (integers as shares of the largest)."""
+    (integers as shares of the largest; NaN where an EXR has no data).
+
+    ValueError for what is no picture and, before it is decoded, for one of more than 25 megapixels.
+    """
     if path.suffix.lower() in (".npy", ".npz"):
-        try:
-            found = np.load(path, allow_pickle=False)
-        except (ValueError, OSError) as error:
-            raise ValueError(f"{path} holds no numpy array: {error}.") from None
-        if isinstance(found, np.lib.npyio.NpzFile):
-            if len(found.files) != 1:
-                raise ValueError(f"{path} must hold one array, not {len(found.files)}.")
-            found = found[found.files[0]]
-        pixels = np.asarray(found, dtype=float)
+        pixels = read_numpy(path, 3 * _MOST_PIXELS)
         pixels = pixels[:, :, None] if pixels.ndim == 2 else pixels
     else:
-        import OpenImageIO as oiio
-
-        source = oiio.ImageInput.open(str(path))
-        if source is None:
-            raise ValueError(f"{path} is no picture: {oiio.geterror()}.")
-        pixels = np.asarray(source.read_image("float"), dtype=float)
-        source.close()
+        pixels = np.asarray(read_image(path, _MOST_PIXELS).values, dtype=float)
     if pixels.ndim != 3:
         raise ValueError(f"{path} must be (row, column) or (row, column, channel) numbers.")
     return pixels
