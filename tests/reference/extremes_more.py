@@ -1,5 +1,5 @@
 """Extremes of what is not water under a sun: spheres and media, cameras, things, inelastic light,
-random walks and the exact transport.  See `_extremes` for what a case is."""
+random walks and the exact transport.  See extremes.py for what a case is."""
 
 import functools
 

@@ -2,7 +2,7 @@
 
     python -m tests.reference.regenerate_two_stream
 
-About two minutes; PythonicDISORT through `tests/_disort.py`.
+About two minutes; PythonicDISORT through tests/reference/disort.py.
 """
 
 from pathlib import Path
