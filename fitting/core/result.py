@@ -198,7 +198,7 @@ class Fit:
         scalars = [float(q.sd) for q in self.quantities.values() if q.value.ndim == 0]
         asked = [sd for p, sd in zip(self.parameters, self.sd.values(), strict=True)
                  if not p.nuisance]  # fmt: skip
-        return max([*scalars, *asked], default=0.0) > _UNKNOWN_SD
+        return bool(max([*scalars, *asked], default=0.0) > _UNKNOWN_SD)
 
     def to_xarray(self) -> "xarray.Dataset":
         """Everything as a CF-style dataset; see `dataset`."""
