@@ -1,9 +1,12 @@
 """`oceaninv check`."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
+
+if TYPE_CHECKING:
+    from fitting.images.quality_checks import QualityCheck
 
 
 def check_command(
@@ -12,67 +15,63 @@ def check_command(
         str | None, typer.Option(help="linear or sRGB, for files that do not say.")
     ] = None,
     range_map: Annotated[
-        Path | None, typer.Option(help="Range map of the picture: gaps and units.")
+        Path | None, typer.Option(help="Range map of the picture, checked for gaps and units.")
     ] = None,
 ) -> None:
-    """Say whether photographs and chart readings are fit to be inverted; code 1 where not."""
+    """Check whether photographs and chart readings can be used for a fit; exit code 1 if not."""
     if range_map is not None and len(paths) > 1:
         raise ValueError("--range-map belongs to one picture; check one at a time.")
-    bad = 0
+    problems = 0
     for path in paths:
         if path.suffix.lower() == ".csv":
-            lines = _charts(path)
+            checks = _charts(path)
         else:
-            lines = _picture(path, encoding, range_map)
+            checks = _picture(path, encoding, range_map)
         print(path)
-        for passed, text in lines:
-            print(f"  {'ok' if passed else 'NO'}  {text}")
-            bad += not passed
-    if bad:
-        print(f"{bad} objection(s)")
+        for passed, message in checks:
+            print(f"  {'ok' if passed else 'NO'}  {message}")
+            problems += not passed
+    if problems:
+        print(f"{problems} problem(s)")
         raise typer.Exit(1)
 
 
-def _charts(path: Path) -> list[tuple[bool, str]]:
+def _charts(path: Path) -> "list[QualityCheck]":
     import numpy as np
 
     from fitting.files.csv_sheet import read_sheet
-    from fitting.images.quality_checks import FLASH, linearity, of_range
+    from fitting.images.photo_csv import patches_of
+    from fitting.images.quality_checks import FLASH, QualityCheck, of_chart, of_range
 
     sheet = read_sheet(path)
     sheet.require("kind", "chart", "reflectance", "R", "G", "B")
     values = np.stack([sheet.numbers(c) for c in "RGB"], axis=1)
     reflectance = sheet.numbers("reflectance")
+    neutral, expected = patches_of(sheet)
+    marked = np.zeros(len(values), dtype=bool)
+    if "clipped" in sheet.columns:
+        marked = sheet.numbers("clipped") == 1
     names = sheet.texts("chart")
     is_chart = np.array([kind == "chart" for kind in sheet.texts("kind")])
-    lines = []
+    checks = []
     for name in dict.fromkeys(n for n, chart in zip(names, is_chart, strict=True) if chart):
         rows = is_chart & np.array([n == name for n in names])
         rows &= np.all(np.isfinite(values) & (values > 0), axis=1) & np.isfinite(reflectance)
-        if rows.sum() < 4:
-            lines.append((True, f"chart {name}: {int(rows.sum())} patches, too few to judge"))
-            continue
-        found = linearity(values[rows], reflectance[rows])
-        known = np.zeros(int(rows.sum()), dtype=bool)
-        if "clipped" in sheet.columns:
-            known = sheet.numbers("clipped")[rows] == 1
-        fresh = found.clipped & ~known
-        text = f"chart {name}: {found.sentence()}"
-        if found.clipped.any() and not fresh.any():
-            text += " (all marked so in the file)"
-        lines.append((not fresh.any(), text))
+        checks += of_chart(
+            values[rows], reflectance[rows], neutral[rows], expected[rows], marked[rows], name
+        )
     if is_chart.any() and "range" in sheet.columns:
-        lines += of_range(sheet.numbers("range")[is_chart], "ranges of the charts")
-    grey = reflectance[is_chart & np.isfinite(reflectance)]
-    if grey.size and grey.max() > 1.5:
-        lines.append((False, f"reflectances up to {grey.max():.3g} look like per cent: divide "
-                      "them by 100"))  # fmt: skip
+        checks += of_range(sheet.numbers("range")[is_chart], "ranges of the charts")
+    known = reflectance[is_chart & np.isfinite(reflectance)]
+    if known.size and known.max() > 1.5:
+        per_cent = f"reflectances up to {known.max():.3g} look like per cent: divide them by 100"
+        checks.append(QualityCheck(False, per_cent))
     if sheet.header.get("flash") == "fired" and sheet.header.get("light") != "lamp":
-        lines.append((False, FLASH))
-    return lines
+        checks.append(QualityCheck(False, FLASH))
+    return checks
 
 
-def _picture(path: Path, encoding: str | None, range_map: Path | None) -> list[tuple[bool, str]]:
+def _picture(path: Path, encoding: str | None, range_map: Path | None) -> "list[QualityCheck]":
     from fitting.images.photograph_file import read_photograph, read_range
     from fitting.images.quality_checks import of_picture, of_range
 

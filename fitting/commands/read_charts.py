@@ -82,7 +82,7 @@ def read_charts_command(
             distance = _median(ranges, reading.outline, text)
         readings.append(reading)
         rows.append((name, kind, distance, reading))
-        print(f"{name} at {distance:.2f} m: {reading.sentence()}")
+        print(f"{name} at {distance:.2f} m: {reading.message()}")
     windows = [_window(text, tilts[0]) for text in background or ()]
     content = table_of(
         photograph, rows, windows, tilts if len(tilts) > 1 else tilts[0], camera, lamp

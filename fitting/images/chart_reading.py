@@ -1,7 +1,8 @@
-"""Charts in a photograph: patches by four given corners, and the picture that shows where."""
+"""Reading a chart in a photograph by its four corners, with a picture of what was read."""
 
 import dataclasses
-from collections.abc import Sequence
+import warnings
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -11,7 +12,7 @@ from jaxtyping import Bool, Float
 import oceaninv as oi
 from fitting.images.chart_targets import Target, target
 from fitting.images.photograph_file import Photograph
-from fitting.images.quality_checks import linearity
+from fitting.images.quality_checks import hidden_clipping
 from fitting.observations.photo import WAVELENGTH
 from oceaninv.foundation.atomic_write import checksum_line, save_figure, with_checksum
 
@@ -32,8 +33,9 @@ class ChartReading:
     """What was read from one chart.
 
     - `values`, `sd`: (patch, channel) mean and its standard deviation (scatter and rounding).
-    - `clipped`: (patch,) saturated, by the file's own full scale or hidden below it.
-    - `pixels`: (patch,) how many were averaged; `outline`: (patch, 4, 2) where, column and row.
+    - `clipped`: (patch,) saturated, at full scale or below it.
+    - `pixels`: (patch,) number of pixels that were averaged.
+    - `outline`: (patch, 4, 2) corners of their area, column and row.
     - `agreement`: rank correlation of values and known reflectances, mean over channels.
     """
 
@@ -67,12 +69,17 @@ class ChartReading:
             self.values[keep], self.target.reflectance[keep], distance, sigma, name=name, **rest
         )
 
-    def sentence(self) -> str:
+    def message(self) -> str:
         """How many patches were kept, and how well they agree with the chart."""
         return (
             f"{self.target.name}: {int(self.kept.sum())} of {len(self.clipped)} patches kept, "
             f"{int(self.clipped.sum())} clipped; rank agreement {self.agreement:.2f}"
         )
+
+    def sentence(self) -> str:
+        """Former name of `message`."""
+        warnings.warn("sentence() is now message().", DeprecationWarning, stacklevel=2)
+        return self.message()
 
 
 def read_chart(
@@ -88,9 +95,10 @@ def read_chart(
       `fitting.images.chart_targets.Target`.
     - `window`: share of a patch's width and height that is averaged, 0-1.
 
-    Patches are found by the perspective of the corners.  Patches with pixels at full scale are
-    marked clipped, and so are, on charts with four greys or more, those that hide their clipping
-    (`fitting.images.quality_checks.linearity`) and colours as bright as these in any channel.
+    The corners give the perspective, and the perspective the patches.  A patch is marked clipped
+    when more than a tenth of its pixels are at full scale or unusable.  On charts with four greys
+    or more, patches that are clipped below full scale are marked, too
+    (`fitting.images.quality_checks.hidden_clipping`).
 
     Raises ValueError for corners outside the picture or out of order, and when the values follow
     the known reflectances better with the chart turned or mirrored.
@@ -135,42 +143,37 @@ def agreements(
     return [_agreement(_read(photograph, c, chart, window)[0], chart) for c in places]
 
 
-def _perspective(corners: np.ndarray) -> np.ndarray:
-    """(3, 3) matrix that takes (across, down, 1) of the unit square to the picture."""
-    rows, right = [], []
-    for (u, v), (x, y) in zip(((0, 0), (1, 0), (1, 1), (0, 1)), corners, strict=True):
-        rows += [[u, v, 1, 0, 0, 0, -u * x, -v * x], [0, 0, 0, u, v, 1, -u * y, -v * y]]
-        right += [x, y]
-    return np.append(np.linalg.solve(np.array(rows, dtype=float), right), 1.0).reshape(3, 3)
+def perspective(corners: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
+    """Map of (point, 2) across and down in the unit square to column and row of the picture."""
+    from skimage.transform import ProjectiveTransform
 
-
-def _apply(matrix: np.ndarray, points: np.ndarray) -> np.ndarray:
-    moved = np.concatenate([points, np.ones((*points.shape[:-1], 1))], axis=-1) @ matrix.T
-    return moved[..., :2] / moved[..., 2:]
+    unit = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
+    return ProjectiveTransform.from_estimate(unit, corners)
 
 
 def _read(photograph: Photograph, corners: np.ndarray, chart: Target, window: float):
-    """Means, standard deviations, spoiled share, pixels and outlines of all patches."""
-    matrix = _perspective(corners)
-    back = np.linalg.inv(matrix)
+    """Means, standard deviations, unusable shares, numbers of pixels and outlines of all patches.
+
+    A pixel belongs to a patch when its centre lies in the patch's outline.
+    """
+    from skimage.draw import polygon
+
+    to_picture = perspective(corners)
     half = 0.5 * window * chart.size
     square = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
-    outline = _apply(matrix, chart.centre[:, None] + square[None] * half[:, None])
-    last = np.array(photograph.values.shape[1::-1]) - 1
+    places = chart.centre[:, None] + square * half[:, None]
+    outline = to_picture(places.reshape(-1, 2)).reshape(places.shape)
+    middles = to_picture(chart.centre)
+    size = photograph.values.shape[:2]
     values, sd, spoiled, pixels = [], [], [], []
-    for middle, reach, polygon in zip(chart.centre, half, outline, strict=True):
-        low = np.clip(np.floor(polygon.min(axis=0)), 0, last).astype(int)
-        high = np.clip(np.ceil(polygon.max(axis=0)), 0, last).astype(int)
-        x, y = np.meshgrid(*(np.arange(a, b + 1) for a, b in zip(low, high, strict=True)))
-        points = np.stack([x.ravel(), y.ravel()], axis=1)
-        within = np.all(np.abs(_apply(back, points.astype(float)) - middle) <= reach, axis=1)
-        if not within.any():  # smaller than a pixel
-            points = np.clip(np.round(_apply(matrix, middle[None])), 0, last).astype(int)
-            within = np.ones(1, dtype=bool)
-        columns, rows = points[within].T
+    for middle, border in zip(middles, outline, strict=True):
+        rows, columns = polygon(border[:, 1], border[:, 0], size)
+        if not len(rows):  # smaller than a pixel
+            columns, rows = np.clip(np.round(middle), 0, [size[1] - 1, size[0] - 1]).astype(int)
+            columns, rows = columns[None], rows[None]
         seen, usable = photograph.values[rows, columns], photograph.mask[rows, columns]
         spoiled.append(1.0 - np.mean(np.all(usable, axis=1)))
-        values.append(np.nanmean(np.where(np.isfinite(seen), seen, 0.0), axis=0))
+        values.append(np.mean(np.where(np.isfinite(seen), seen, 0.0), axis=0))
         scatter = seen.std(axis=0, ddof=1) if len(seen) > 1 else np.zeros(3)
         own = np.hypot(scatter, photograph.relative * values[-1]) / np.sqrt(len(seen))
         sd.append(np.hypot(own, photograph.step))
@@ -190,13 +193,7 @@ def _agreement(values: np.ndarray, chart: Target) -> float:
 
 def _clipped(values: np.ndarray, spoiled: np.ndarray, chart: Target) -> np.ndarray:
     clipped = spoiled > _UNUSABLE
-    greys = np.flatnonzero(chart.neutral & ~clipped)
-    if len(greys) > 3:
-        hidden = greys[linearity(values[greys], chart.brightness[greys]).clipped]
-        if len(hidden):
-            clipped = clipped | np.any(values >= values[hidden].min(axis=0), axis=1)
-            clipped[hidden] = True
-    return clipped
+    return clipped | hidden_clipping(values, chart.brightness, chart.neutral & ~clipped)
 
 
 def overlay(
@@ -232,7 +229,7 @@ def overlay(
         margin = 0.15 * (high - low).max()
         axes.set_xlim(low[0] - margin, high[0] + margin)
         axes.set_ylim(high[1] + margin, low[1] - margin)
-        axes.set_title(reading.sentence(), fontsize=8)
+        axes.set_title(reading.message(), fontsize=8)
         axes.tick_params(labelsize=7)
     figure.tight_layout()
     save_figure(figure, path, dpi=130, overwrite=overwrite)

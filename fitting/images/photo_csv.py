@@ -3,6 +3,7 @@
 from pathlib import Path
 
 import numpy as np
+from jaxtyping import Bool, Float
 
 import oceaninv as oi
 from fitting.files.csv_sheet import Sheet, header_number, read_sheet
@@ -136,3 +137,23 @@ def _spectra(sheet: Sheet) -> np.ndarray:
                 f"{len(charts[name].reflectance)}, not {number:g}."
             )
     return np.stack(rows)
+
+
+def patches_of(sheet: Sheet) -> tuple[Bool[np.ndarray, " row"], Float[np.ndarray, "row channel"]]:
+    """Which rows are grey, and what the camera would see of each row in white light.
+
+    Rows that name no target are grey.  The camera is that of the header, else the generic one.
+    """
+    from fitting.images.chart_targets import target
+
+    neutral = np.ones(len(sheet.texts("kind")), dtype=bool)
+    spectra = _spectra(sheet)
+    if spectra.ndim == 1:
+        spectra = np.repeat(spectra[:, None], len(WAVELENGTH), axis=1)
+    else:
+        pairs = zip(sheet.texts("target"), sheet.numbers("patch"), strict=True)
+        neutral = np.array([not n or bool(target(n).neutral[int(p) - 1]) for n, p in pairs])
+    name = sheet.header.get("camera", "generic")
+    known = name in oi.spectrum.camera_names()
+    camera = oi.spectrum.camera_response(name) if known else oi.spectrum.generic_camera()
+    return neutral, spectra @ np.asarray(camera.weights(WAVELENGTH)).T

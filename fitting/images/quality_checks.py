@@ -1,9 +1,12 @@
-"""Verdicts before a fit: on chart readings, pictures and range maps, each with a remedy."""
+"""Quality checks before a fit: of chart readings, pictures and range maps, each with a remedy."""
 
 import dataclasses
-from typing import TYPE_CHECKING
+import warnings
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
+
+from fitting.images.saturation import saturation_spike
 
 if TYPE_CHECKING:
     from fitting.images.photograph_file import Photograph
@@ -11,25 +14,33 @@ if TYPE_CHECKING:
 # A patch whose value falls short of the darker ones' straight line by this share is clipped.
 _SHORT = 0.08
 _FEWEST = 3
-# Shares of a channel's pixels: at or below zero, and at full scale, beyond which it is objected to.
+# Colours: a value short of the colours' own line by this many of their standard deviations, and by
+# this share at least, is a problem; so is a lower rank correlation than this with what is expected.
+_SHORT_COLOUR_SD, _SHORT_COLOUR, _LEAST_AGREEMENT = 5.0, 0.15, 0.5
+# Largest shares of a channel's pixels at or below zero and at full scale that are no problem.
 _ZEROED, _FULL = 0.05, 0.01
-# Ranges (m) outside of which a photograph's median is not believed, and the share of missing ones.
+# Range (m) within which a photograph's median distance is believed, and largest share of gaps.
 _NEAREST, _FURTHEST, _MISSING = 0.05, 100.0, 0.5
 
 FLASH = (
-    "a flash fired: natural-light fits do not apply to what it lit; where it sat at the camera and "
-    "lit all, read the charts with --lamp"
+    "a flash fired: fits for daylight do not apply to what it lit; where it was at the camera and "
+    "lit everything, read the charts with --lamp"
 )
 
-# Whether it passed, and a sentence: what was found and, where it did not pass, what to do.
-Verdict = tuple[bool, str]
+
+class QualityCheck(NamedTuple):
+    """Whether a check passed, and a message: what was found and, where it failed, what to do."""
+
+    passed: bool
+    message: str
 
 
 @dataclasses.dataclass(frozen=True)
 class Linearity:
-    """How straight the values of the neutral patches of one chart are in reflectance.
+    """How well the values of the neutral patches of one chart follow a straight line.
 
-    - `r2`: (channel,) of the straight line through all patches, and `r2_kept` through the kept.
+    - `r2`: (channel,) R2 of the line through all patches over their reflectance.
+    - `r2_kept`: (channel,) R2 of the line through the patches that are not clipped.
     - `clipped`: (patch,) whether a patch falls short of the line of the darker ones.
     """
 
@@ -37,7 +48,7 @@ class Linearity:
     r2_kept: np.ndarray
     clipped: np.ndarray
 
-    def sentence(self) -> str:
+    def message(self) -> str:
         """What was found and what to do."""
         if not self.clipped.any():
             return f"straight in reflectance, R2 {self.r2.min():.3f}"
@@ -47,13 +58,23 @@ class Linearity:
             "them out, and expose less"
         )
 
+    def sentence(self) -> str:
+        """Former name of `message`."""
+        warnings.warn("sentence() is now message().", DeprecationWarning, stacklevel=2)
+        return self.message()
+
 
 def linearity(values, reflectance) -> Linearity:
-    """Hidden clipping of a grey chart: `values` (patch, channel), neutral `reflectance` (patch,).
+    """Clipping below full scale of grey patches, found by their departure from a straight line.
 
-    Raw developers raise the exposure and mix channels after they clip, so that a clipped patch may
-    read well below 1.  Seen from the darkest three upwards, a patch is clipped when any channel
-    falls short of the straight line of the kept darker ones by 8 %; so is every brighter one.
+    `values`: (patch, channel), any scale; `reflectance`: (patch,), of neutral patches, 0-1.
+
+    Raw developers raise the exposure and mix channels after clipping, so a clipped patch may read
+    well below 1.  From the darkest three upwards, a patch counts as clipped when a channel falls
+    short of the straight line through the darker patches by 8 %; all brighter patches then count
+    as clipped, too.
+
+    **Raises:** ValueError for fewer than four patches or shapes that do not match.
     """
     values = np.asarray(values, dtype=float)
     reflectance = np.asarray(reflectance, dtype=float)
@@ -82,55 +103,143 @@ def _r2(values: np.ndarray, reflectance: np.ndarray) -> np.ndarray:
     return 1.0 - left / np.sum((values - values.mean(axis=0)) ** 2, axis=0)
 
 
-def of_picture(photo: "Photograph") -> list[Verdict]:
-    """Zeroed channels, clipping at full scale and below it, flash; one sentence each."""
-    found = []
+def hidden_clipping(values, brightness, neutral) -> np.ndarray:
+    """(patch,) whether patches of a chart with greys and colours are clipped below full scale.
+
+    Greys by `linearity`; colours where any channel is as bright as in the darkest clipped grey.
+    None are found where there are fewer than four greys.  `values`: (patch, channel);
+    `brightness`: (patch,) mean reflectance; `neutral`: (patch,) which are grey.
+    """
+    values, clipped = np.asarray(values, dtype=float), np.zeros(len(values), dtype=bool)
+    greys = np.flatnonzero(neutral)
+    if len(greys) > _FEWEST:
+        hidden = greys[linearity(values[greys], np.asarray(brightness)[greys]).clipped]
+        if len(hidden):
+            clipped = np.any(values >= values[hidden].min(axis=0), axis=1)
+            clipped[hidden] = True
+    return clipped
+
+
+def of_chart(values, brightness, neutral, expected, marked, name: str) -> list[QualityCheck]:
+    """Linearity of the greys of a chart, and scatter of its colours about a line of their own.
+
+    - `values`: (patch, channel), all positive; `brightness`: (patch,) mean reflectance.
+    - `neutral`: (patch,) which are grey; `marked`: (patch,) which the file says are clipped.
+    - `expected`: (patch, channel) what the camera would see of each patch in white light, any
+      scale; used for the colours.
+
+    Colours are not proportional to their mean reflectance, nor, in coloured water, quite to
+    `expected`: only patches that fall short of the line through the colours by five times the
+    scatter of the others (and by 15 %), and colours in a wrong order, are problems.
+    """
+    values, marked = np.asarray(values, dtype=float), np.asarray(marked, dtype=bool)
+    neutral = np.asarray(neutral, dtype=bool)
+    clipped, checks = hidden_clipping(values, brightness, neutral), []
+    if neutral.sum() > _FEWEST:
+        found = linearity(values[neutral], np.asarray(brightness)[neutral])
+        fresh = clipped & ~marked
+        text = f"chart {name}: {found.message()}"
+        if fresh[~neutral].any():
+            text += f"; {int(fresh[~neutral].sum())} colours are as bright as these: clipped, too"
+        if clipped.any() and not fresh.any():
+            text += " (all marked so in the file)"
+        checks.append(QualityCheck(not fresh.any(), text))
+    else:
+        few = f"chart {name}: {int(neutral.sum())} grey patches, too few to judge linearity"
+        checks.append(QualityCheck(True, few))
+    colours = np.flatnonzero(~neutral & ~clipped & ~marked)
+    if len(colours) > 2 * _FEWEST:
+        checks.append(_colours(values[colours], np.asarray(expected)[colours], colours, name))
+    return checks
+
+
+def _colours(values: np.ndarray, expected: np.ndarray, patch: np.ndarray, name: str):
+    """Check of the colours of one chart by the line through them, channel by channel."""
+    from scipy.stats import rankdata, theilslopes
+
+    short, scatter, agreement = np.zeros(len(patch), dtype=bool), [], []
+    for seen, wanted in zip(values.T, expected.T, strict=True):
+        slope, offset, *_ = theilslopes(seen, wanted)
+        line = offset + slope * wanted
+        off = seen - line
+        sd = 1.4826 * float(np.median(np.abs(off - np.median(off))))
+        short |= off < -np.maximum(_SHORT_COLOUR_SD * sd, _SHORT_COLOUR * line)
+        scatter.append(sd / float(np.median(seen)))
+        agreement.append(np.corrcoef(rankdata(seen), rankdata(wanted))[0, 1])
+    text = f"chart {name}: {len(patch)} colours scatter by {100 * max(scatter):.2g} % about a line"
+    if np.mean(agreement) < _LEAST_AGREEMENT:
+        text += (
+            f", but in the wrong order (rank correlation {np.mean(agreement):.2f}): name the chart "
+            "that was photographed, and its corners in its own order"
+        )
+        return QualityCheck(False, text)
+    if short.any():
+        text += (
+            f"; patch {', '.join(str(p + 1) for p in patch[short])} falls short of it: clipped, "
+            "shaded or dirty, leave it out"
+        )
+    return QualityCheck(not short.any(), text)
+
+
+def of_picture(photo: "Photograph") -> list[QualityCheck]:
+    """Pixels at or below zero, clipping at full scale and below it, one check per channel; flash.
+
+    Shares of pixels; see the module for the limits.
+    """
+    checks = []
     for c, plane in zip("RGB", np.moveaxis(photo.values, 2, 0), strict=True):
         zero, full = float(np.mean(~(plane > 0))), float(np.mean(plane >= 1))
         text = f"{c}: {100 * zero:.2f} % at or below zero, {100 * full:.2f} % at full scale"
         if zero > _ZEROED:
             text += "; the channel was cut by the developer or is dark: lower its black level"
         if full > _FULL:
-            text += "; expose less, and read no patch there"
-        hidden = _heap(plane)
-        if hidden is not None:
+            text += f"; {_where(plane >= 1)}: expose less, and read no patch there"
+        spike = saturation_spike(plane)
+        if spike is not None and 1.0 <= spike < 1.001:  # counted above
+            spike = None
+        if spike is not None:
             text += (
-                f"; values heap up at {hidden:.3f}, so it was clipped there before the exposure "
-                "was changed: read no patch that bright"
+                f"; the brightest pixels are all alike at {spike:.3f}, so the channel was clipped "
+                "there before the exposure was changed: read no patch that bright"
             )
-        found.append((zero <= _ZEROED and full <= _FULL and hidden is None, text))
+        checks.append(QualityCheck(zero <= _ZEROED and full <= _FULL and spike is None, text))
     if photo.flash:
-        found.append((False, FLASH))
-    return found
+        checks.append(QualityCheck(False, FLASH))
+    return checks
 
 
-def _heap(plane: np.ndarray) -> float | None:
-    """The brightest value below full scale at which far more pixels lie than just below it."""
-    seen = plane[np.isfinite(plane) & (plane > 0)]
-    if not len(seen) or ((top := float(seen.max())) >= 1.0 and top < 1.001):
-        return None
-    at_top = int(np.sum(seen >= 0.999 * top))
-    below = int(np.sum((seen >= 0.9 * top) & (seen < 0.999 * top))) / 99.0
-    return top if at_top > max(50.0, 1e-4 * seen.size, 20.0 * below) else None
+def _where(saturated: np.ndarray) -> str:
+    """How many connected regions are saturated, and where the largest is."""
+    from skimage.measure import label, regionprops
+
+    regions = regionprops(label(saturated, connectivity=2))
+    largest = max(regions, key=lambda region: region.area)
+    row, column = largest.centroid
+    count = "one region" if len(regions) == 1 else f"{len(regions)} regions, the largest"
+    return f"{count} of {largest.area:.0f} pixels around column {column:.0f}, row {row:.0f}"
 
 
-def of_range(distance: np.ndarray, what: str = "range map") -> list[Verdict]:
+def of_range(distance: np.ndarray, what: str = "range map") -> list[QualityCheck]:
     """Missing ranges and units that look wrong; `distance` in metres, NaN where missing."""
     distance = np.asarray(distance, dtype=float)
     known = distance[np.isfinite(distance) & (distance > 0)]
     missing = 1.0 - known.size / max(distance.size, 1)
     text = f"{what}: {100 * missing:.1f} % missing"
     if not known.size:
-        return [(False, f"{text}: give the ranges, without them no water can be told")]
+        text += ": give the ranges, for without them nothing can be said about the water"
+        return [QualityCheck(False, text)]
     middle = float(np.median(known))
     text += f", {known.min():.3g} to {known.max():.3g} m, median {middle:.3g} m"
     if missing > _MISSING:
-        return [(False, f"{text}; most is missing: only what has a range can be used")]
-    if middle > _FURTHEST:
+        text += "; most is missing: only what has a range can be used"
+    elif middle > _FURTHEST:
         unit = "millimetres" if middle > 10 * _FURTHEST else "centimetres or millimetres"
-        return [(False, f"{text}; no water lets one see so far, these look like {unit}: "
-                 "convert them to metres")]  # fmt: skip
-    if middle < _NEAREST:
-        return [(False, f"{text}; too near, these look like kilometres, a disparity or a relative "
-                 "depth: convert them to metres")]  # fmt: skip
-    return [(True, text)]
+        text += f"; no water is clear enough for this, these look like {unit}: convert to metres"
+    elif middle < _NEAREST:
+        text += (
+            "; too near, these look like kilometres, a disparity or a relative depth: convert to "
+            "metres"
+        )
+    else:
+        return [QualityCheck(True, text)]
+    return [QualityCheck(False, text)]

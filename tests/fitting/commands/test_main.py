@@ -185,7 +185,7 @@ def test_the_console_script_sets_float64_before_any_array():
     assert jax.config.jax_enable_x64
 
 
-def test_check_objects_to_unmarked_clipping_alone(tmp_path, capsys):
+def test_check_reports_unmarked_clipping_alone(tmp_path, capsys):
     assert cli.run(["check", str(SCENES / "red_sea_charts.csv")]) == 0
     assert "3 of 6 patches are clipped below full scale" in capsys.readouterr().out
     unmarked = tmp_path / "charts.csv"
@@ -194,6 +194,6 @@ def test_check_objects_to_unmarked_clipping_alone(tmp_path, capsys):
         line[:-1] + "0" if line.startswith("chart,A") else line for line in text.splitlines()
     ))  # fmt: skip
     assert cli.run(["check", str(unmarked)]) == 1
-    assert "1 objection(s)" in capsys.readouterr().out
+    assert "1 problem(s)" in capsys.readouterr().out
     assert cli.run(["check", str(tmp_path / "no picture.png")]) == 3
     assert "does not exist" in capsys.readouterr().err

@@ -9,7 +9,7 @@ from matplotlib.path import Path as Outline
 import fitting.commands.main as cli
 import oceaninv as oi
 from fitting import Photograph, read_photograph
-from fitting.images.chart_reading import _apply, _perspective, overlay, read_chart
+from fitting.images.chart_reading import overlay, perspective, read_chart
 from fitting.images.chart_targets import target
 from fitting.images.photo_csv import read_photo
 from fitting.observations.photo import WAVELENGTH
@@ -30,7 +30,7 @@ def painted(name="ColorChecker24", clip=1.0):
     y, x = np.mgrid[0:140, 0:180]
     points = np.stack([x.ravel(), y.ravel()], axis=1)
     for value, centre, size in zip(values, chart.centre, chart.size, strict=True):
-        polygon = _apply(_perspective(CORNERS), centre + square * size)
+        polygon = perspective(CORNERS)(centre + square * size)
         picture[Outline(polygon).contains_points(points).reshape(140, 180)] = value
     rng = np.random.default_rng(0)
     picture = picture * (1 + 0.002 * rng.standard_normal(picture.shape))
@@ -55,11 +55,11 @@ def test_patches_are_read_where_the_perspective_puts_them(name):
 
 def test_the_perspective_takes_the_unit_square_to_its_corners():
     unit = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
-    np.testing.assert_allclose(_apply(_perspective(CORNERS), unit), CORNERS, rtol=1e-12)
+    np.testing.assert_allclose(perspective(CORNERS)(unit), CORNERS, rtol=1e-12)
     # Diagonals meet where the centre goes, in any perspective.
     a, b = CORNERS[2] - CORNERS[0], CORNERS[3] - CORNERS[1]
     along = np.linalg.solve(np.stack([a, -b], axis=1), CORNERS[1] - CORNERS[0])[0]
-    middle = _apply(_perspective(CORNERS), np.array([[0.5, 0.5]]))[0]
+    middle = perspective(CORNERS)(np.array([[0.5, 0.5]]))[0]
     np.testing.assert_allclose(middle, CORNERS[0] + along * a, rtol=1e-12)
 
 
@@ -95,7 +95,7 @@ def test_clipped_patches_are_dropped_and_counted():
     # Two greys, and the colours that reach as high, stop at 0.5, which no full scale gives away.
     assert hidden.clipped[[18, 19]].all()
     assert not hidden.clipped[[20, 21, 22, 23]].any()
-    assert f"{hidden.clipped.sum()} clipped" in hidden.sentence()
+    assert f"{hidden.clipped.sum()} clipped" in hidden.message()
     full = dataclasses.replace(photo, mask=photo.values < 0.49)
     assert read_chart(full, CORNERS, "ColorChecker24").clipped[18]
 
@@ -211,9 +211,9 @@ def frame(folder):
     for name, (distance, light, corners) in PLACES.items():
         through = np.exp(-attenuation * distance)
         values = haze * (1 - through) + light * reflectance * through
-        matrix = _perspective(np.array(corners))
+        placed = perspective(np.array(corners))
         for value, centre, size in zip(values, chart.centre, chart.size, strict=True):
-            inside = Outline(_apply(matrix, centre + square * size)).contains_points(points)
+            inside = Outline(placed(centre + square * size)).contains_points(points)
             raw[inside.reshape(160, 240)] = value
         truth[name] = values * balance, np.any(values > 1, axis=1)
     developed = np.minimum(raw, 1) * balance

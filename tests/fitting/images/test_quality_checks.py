@@ -1,12 +1,16 @@
-"""Verdicts: hidden clipping found on the real frame, not invented on straight charts; pictures and
-range maps."""
+"""Quality checks: clipping below full scale found on the real frame and not on straight charts;
+colours; pictures and range maps."""
 
 import numpy as np
 import pytest
 
+import fitting.commands.main as cli
+import oceaninv as oi
 from fitting import Photograph
 from fitting.files.csv_sheet import read_sheet
-from fitting.images.quality_checks import linearity, of_picture, of_range
+from fitting.images.chart_targets import target
+from fitting.images.quality_checks import linearity, of_chart, of_picture, of_range
+from fitting.observations.photo import WAVELENGTH
 from tests.paths import SCENES
 
 CHARTS = SCENES / "red_sea_charts.csv"
@@ -31,13 +35,13 @@ def test_the_near_chart_of_the_real_frame_is_clipped_below_full_scale():
     found = linearity(values, reflectance)
     assert found.r2.max() < 0.66
     assert found.r2_kept.min() > 0.99
-    assert found.sentence().startswith("3 of 6 patches are clipped")
+    assert found.message().startswith("3 of 6 patches are clipped")
 
 
 def test_the_straight_chart_of_the_real_frame_is_left_alone():
     values, reflectance, _ = chart("C")
     assert not linearity(values, reflectance).clipped.any()
-    assert "R2 0.99" in linearity(values, reflectance).sentence()
+    assert "R2 0.99" in linearity(values, reflectance).message()
 
 
 def test_noise_is_no_clipping():
@@ -53,30 +57,98 @@ def test_too_few_patches_are_a_sentence():
         linearity(np.ones((3, 3)), np.ones(3))
 
 
+def colour_chart(camera="Nikon D810", light=(0.5, 1.0, 0.8), veil=0.05):
+    """Linear values of a ColorChecker: veil + light x what the camera sees of each patch."""
+    chart = target("ColorChecker24")
+    weights = np.asarray(oi.spectrum.camera_response(camera).weights(WAVELENGTH))
+    seen = chart.reflectance @ (weights / weights.sum(axis=1)[:, None]).T
+    rng = np.random.default_rng(3)
+    return (veil + 0.8 * seen * np.array(light)) * (1 + 0.005 * rng.standard_normal(seen.shape))
+
+
+def checks_of(values, camera="Nikon D810"):
+    chart = target("ColorChecker24")
+    expected = colour_chart(camera, (1, 1, 1), 0.0)
+    return of_chart(values, chart.brightness, chart.neutral, expected, np.zeros(24, bool), "A")
+
+
+@pytest.mark.parametrize("camera", ["Nikon D810", "Canon EOS 5D Mark II"])
+def test_a_linear_colour_chart_has_no_problem(camera):
+    """Values are straight in mean reflectance for greys alone (R2 of all 24: 0.6-0.8)."""
+    values = colour_chart(camera)
+    assert linearity(values, target("ColorChecker24").brightness).clipped.sum() > 10
+    checks = checks_of(values)
+    assert [passed for passed, _ in checks] == [True, True]
+    assert checks[0].message == "chart A: straight in reflectance, R2 1.000"
+    assert checks[1].message.startswith("chart A: 18 colours scatter by")
+
+
+def test_clipping_of_greys_and_of_colours_is_told_apart():
+    values = colour_chart()
+    clipped = np.minimum(values, 0.25)
+    first, *_ = checks_of(clipped)
+    assert not first.passed
+    # The two brightest greys reach 0.25 in green, and these colours with them.
+    assert "of 6 patches are clipped below full scale" in first.message
+    assert "colours are as bright as these" in first.message
+    shaded = values.copy()
+    shaded[11] *= 0.6
+    grey, colour = checks_of(shaded)
+    assert grey.passed
+    assert "patch 12 falls short of it" in colour.message
+    assert not colour.passed
+    turned = values.copy()
+    turned[:18] = values[17::-1]
+    assert "wrong order" in checks_of(turned)[1].message
+
+
+def test_check_judges_readings_of_colours_by_their_target(tmp_path, capsys):
+    chart, values = target("ColorChecker24"), colour_chart()
+    head = "# units: range=m\n# camera: Nikon D810\n"
+    head += "kind,chart,target,patch,reflectance,range,R,G,B,clipped\n"
+    rows = [
+        f"chart,A,ColorChecker24,{i + 1},{grey:.4f},1.5,{r:.5f},{g:.5f},{b:.5f},0\n"
+        for i, (grey, (r, g, b)) in enumerate(zip(chart.brightness, values, strict=True))
+    ]
+    path = tmp_path / "colours.csv"
+    path.write_text(head + "".join(rows))
+    assert cli.run(["check", str(path)]) == 0
+    said = capsys.readouterr().out
+    assert "straight in reflectance, R2 1.000" in said
+    assert "18 colours scatter by" in said
+    path.write_text(head + "".join(rows[:12]))
+    assert cli.run(["check", str(path)]) == 0
+    assert "0 grey patches, too few to judge linearity" in capsys.readouterr().out
+
+
 def picture(values, **exif):
     return Photograph(values, values > 0, 0.0, 0.0, exif, "made")
 
 
-def objections(verdicts):
-    return [text for passed, text in verdicts if not passed]
+def problems(checks):
+    return [text for passed, text in checks if not passed]
 
 
 def test_pictures_are_judged_channel_by_channel():
     values = np.random.default_rng(2).uniform(0.02, 0.7, (80, 90, 3))
-    assert objections(of_picture(picture(values, Flash=16))) == []
+    assert problems(of_picture(picture(values, Flash=16))) == []
     dark = values.copy()
     dark[:8, :, 0] = 0.0
-    (text,) = objections(of_picture(picture(dark)))
+    (text,) = problems(of_picture(picture(dark)))
     assert text.startswith("R: 10.00 % at or below zero")
     assert "lower its black level" in text
     full = values.copy()
     full[:2, :, 1] = 1.0
-    assert "expose less" in objections(of_picture(picture(full)))[0]
-    # Clipped, then darkened by half: the values heap up at the brightest.
+    assert "expose less" in problems(of_picture(picture(full)))[0]
+    # 2 x 90 pixels at the top and 3 x 4 below them, which touch nothing.
+    full[10:13, 20:24, 1] = 1.0
+    where = "2 regions, the largest of 180 pixels around column 44, row 0"
+    assert where in problems(of_picture(picture(full)))[0]
+    # Clipped, then darkened by half: the brightest values are a spike.
     hidden = np.minimum(values, 0.6)
-    assert all("heap up at 0.600" in text for text in objections(of_picture(picture(hidden))))
-    assert len(objections(of_picture(picture(hidden)))) == 3
-    assert "flash fired" in objections(of_picture(picture(values, Flash=9)))[0]
+    assert all("all alike at 0.600" in text for text in problems(of_picture(picture(hidden))))
+    assert len(problems(of_picture(picture(hidden)))) == 3
+    assert "flash fired" in problems(of_picture(picture(values, Flash=9)))[0]
 
 
 @pytest.mark.parametrize(
@@ -90,8 +162,8 @@ def test_pictures_are_judged_channel_by_channel():
         (lambda r: -r, "give the ranges"),
     ],
 )
-def test_ranges_in_other_units_and_missing_ones_are_objected_to(change, words):
+def test_ranges_in_other_units_and_missing_ones_are_problems(change, words):
     distance = np.random.default_rng(3).uniform(2.0, 9.0, (20, 30))
     assert of_range(distance)[0][0]
-    (text,) = objections(of_range(change(distance)))
+    (text,) = problems(of_range(change(distance)))
     assert words in text
