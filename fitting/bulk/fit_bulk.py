@@ -9,7 +9,8 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Bool, Float, Num
 
 from fitting.bulk.media import AbstractMedium, Populations
-from fitting.core.least_squares import covariance, least_squares, sentence
+from fitting.core.diagnostics import Status
+from fitting.core.least_squares import covariance, least_squares
 from fitting.core.parameters import Parameter, Parameters, Prior
 from fitting.core.result import Fit, Predictive, derived_quantity
 from fitting.observations.bulk import Bulk
@@ -171,7 +172,7 @@ def _result(bulk: Bulk, medium, parameters, optimum, spectra, slopes, noise, deg
             for i, (name, text) in enumerate(_NAMES.items())
         },
         bulk.wavelength,
-        sentence(optimum.code),
+        Status(int(optimum.code)),
         Predictive(
             np.where(bulk.mask, bulk.values, np.nan),
             predicted,

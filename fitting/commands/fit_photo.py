@@ -120,7 +120,7 @@ def fit_photo_command(
             fit = draw(fit)
     if clipped or masked:
         print(f"left out: {clipped} clipped rows, {masked} missing or non-positive values")
-    factor = fit.metadata["noise_factor"]
+    factor = fit.noise_factor or 1.0
     if factor > 1.0:
         print(f"readings scatter {factor:.1f} x as much as their noise says: intervals widened")
     print_water(fit)

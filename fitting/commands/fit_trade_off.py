@@ -59,8 +59,8 @@ def _row(name: str, fit: Fit, seconds: float, best: Fit, dearest: float) -> FitR
     asked = [p.name for p in fit.parameters if not p.nuisance]
     at = {n: fit.parameters.names.index(n) for n in asked}
     ends = {n: fit.interval(n) for n in asked}
-    if "plan" in fit.metadata:
-        name = f"{name}: {fit.metadata['plan']['transport']}"
+    if fit.plan is not None:
+        name = f"{name}: {fit.plan.transport}"
     return FitRow(
         name,
         seconds,

@@ -49,36 +49,26 @@ def status(text: str):
 
 
 def print_water(fit: "Fit") -> None:
-    """Constituents and quantities with intervals, and what they lean on."""
+    """Constituents and quantities with intervals, and their sensitivity to assumptions."""
     from rich.console import Console
     from rich.table import Table
 
+    from fitting.core.result import sensitivity_text
     from fitting.water_model.unknowns import phytoplankton_range
 
     table = Table(title=f"Water by {fit.metadata['transport']}", title_justify="left")
     for name in ("quantity", "unit", "value", "95 % interval"):
         table.add_column(name, justify="left" if name in ("quantity", "unit") else "right")
-    leans = Table(title="Shift of the value per sd of an assumption", title_justify="left")
-    leans.add_column("quantity")
-    leans.add_column("leans most on", overflow="fold")
-    for name, quantity in fit.quantities.items():
-        if quantity.value.ndim == 0:
-            low, high = quantity.interval(0.95, fit.dof)
-            known = bool(quantity.sd <= 0.5)
-            table.add_row(name, quantity.unit, *shown(float(quantity.value), low, high, known))
-            leans.add_row(name, _leaning(fit, name))
-    for parameter in fit.parameters:
-        if not parameter.nuisance:
-            name = parameter.name
-            low, high = fit.interval(name)
-            known = fit.identifiable[name]
-            table.add_row(name, parameter.unit, *shown(fit.value[name], low, high, known))
-            leans.add_row(name, _leaning(fit, name))
-    Console().print(table, leans)
-    if "plan" in fit.metadata:
-        plan = fit.metadata["plan"]
-        error, asked = (f"{100 * plan[n]:.2g} %" for n in ("predicted_error", "tolerance"))
-        print(f"chosen: {plan['transport']}, predicted error {error}, asked {asked}")
+    shifts = Table(title="Shift of the value per sd of an assumption", title_justify="left")
+    shifts.add_column("quantity")
+    shifts.add_column("most sensitive to", overflow="fold")
+    for number in fit.numbers():
+        table.add_row(number.name, number.unit, number.value_text, number.interval_text)
+        shifts.add_row(number.name, sensitivity_text(fit.sensitivity[number.name], 2))
+    Console().print(table, shifts)
+    if fit.plan is not None:
+        error, asked = (f"{100 * e:.2g} %" for e in (fit.plan.predicted_error, fit.plan.tolerance))
+        print(f"chosen: {fit.plan.transport}, predicted error {error}, asked {asked}")
     if fit.bias is not None:
         print("values of constituents are corrected for the curvature of the model (Box 1971)")
     if "bands_not_modelled_nm" in fit.metadata:
@@ -92,17 +82,6 @@ def print_water(fit: "Fit") -> None:
         away = 100 * fit.metadata["nearest_jerlov_rms_ln_kd"]
         print(f"nearest Jerlov type: {fit.metadata['nearest_jerlov_type']} ({away:.0f} % off)")
     print(f"search: {fit.result}")
-
-
-def shown(value, low, high, known: bool) -> tuple[str, str]:
-    """Value and interval as text; no bare number for what is not identifiable."""
-    best = f"{value:.3g}" if known else "not identifiable"
-    return best, f"{low:.3g} - {high:.3g}"
-
-
-def _leaning(fit: "Fit", name: str) -> str:
-    shifts = sorted(fit.sensitivity[name].items(), key=lambda item: -abs(item[1]))[:2]
-    return ", ".join(f"{key} {100 * shift:+.0f} %" for key, shift in shifts)
 
 
 def with_endings(stem: Path, *endings: str) -> list[Path]:

@@ -9,24 +9,19 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from fitting.core.diagnostics import Status
+
 Residual = Callable[[Float[Array, " unknown"], Any], Float[Array, " residual"]]
 
 # Standard deviations from the optimum at which a search counts as converged.
 REMAINING = 1e-3
-
-RESULTS = {
-    0: "converged",
-    1: "the step limit was reached before the optimum: the data hardly constrain some unknown; "
-    "add data or prior knowledge, or raise max_steps",
-    2: "the model is not finite where the search ended: check units, depths and prior centres",
-}
 
 
 class Optimum(eqx.Module):
     """Where a search ended.
 
     - `x`: coordinates; `residual`, `jacobian`: of everything, priors included, at x.
-    - `code`: index into `RESULTS`.
+    - `code`: of the `fitting.core.diagnostics.Status`.
     """
 
     x: Float[Array, " unknown"]
@@ -108,7 +103,8 @@ def least_squares(
     downhill = jnp.where(finite, value @ slope, 0.0)
     usable = jnp.where(finite, slope, 0.0)
     remaining = downhill @ covariance(usable) @ downhill
-    code = jnp.where(finite, jnp.where(remaining <= REMAINING**2, 0, 1), 2)
+    ended = jnp.where(remaining <= REMAINING**2, Status.CONVERGED, Status.STEP_LIMIT)
+    code = jnp.where(finite, ended, Status.MODEL_NOT_FINITE)
     return Optimum(start + unit * solution.value, value, slope, code.astype(jnp.int32))
 
 
@@ -233,8 +229,3 @@ def cross_check(
         axes = round_axes(x)
         x = x + axes @ solver.run(zero, (zero - reach, zero + reach), x, axes).params
     return x
-
-
-def sentence(code) -> str:
-    """The sentence of a result code."""
-    return RESULTS[int(np.asarray(code))]

@@ -8,6 +8,7 @@ import jax
 import numpy as np
 
 import oceaninv as oi
+from fitting.core.diagnostics import ModelChoice
 from fitting.core.result import Fit
 from oceaninv.fidelity.planning import expected_error, model_label, sufficient
 from oceaninv.transport.base import AbstractTransport
@@ -75,14 +76,15 @@ def multifidelity_fit(
         here = better
         fit = solve(here, np.asarray(fit.x))
         tried.append(model_label(here))
-    plan = {
-        "transport": model_label(here),
-        "tolerance": tolerance,
-        "predicted_error": error,
-        "tried": tried,
-        "kept": error <= tolerance,
-    }
-    return dataclasses.replace(fit, metadata={**fit.metadata, "plan": plan}), here
+    plan = ModelChoice(model_label(here), tuple(tried), tolerance, error)
+    return dataclasses.replace(fit, plan=plan), here
+
+
+def chosen_model(fit: Fit) -> ModelChoice:
+    """The choice of the transport; ValueError for a fit that was given one."""
+    if fit.plan is None:
+        raise ValueError("only a fit within a tolerance chooses its transport.")
+    return fit.plan
 
 
 # The accurate model that corrects fits within a tolerance.
@@ -109,7 +111,7 @@ def corrected_fit(
     ratio) -> the fit.
     """
     asked = np.array([not parameter.nuisance for parameter in fit.parameters])
-    sd, plan = np.sqrt(np.diag(fit.covariance)), fit.metadata["plan"]
+    sd, plan = np.sqrt(np.diag(fit.covariance)), chosen_model(fit)
     passes, moving = 0, True
     ratio, largest = evaluate(np.asarray(fit.x))
     left = largest
@@ -122,14 +124,14 @@ def corrected_fit(
         ratio, largest = evaluate(np.asarray(fit.x))
         changes = jax.tree.map(lambda a, b: np.max(np.abs(a / b - 1.0), initial=0.0), ratio, before)
         left = float(max(jax.tree.leaves(changes)))
-    more = {
-        "corrections": passes,
-        "corrected_by": model_label(exact),
-        "largest_correction": largest,
-        "error_left": left,
-        "kept": left <= plan["tolerance"],
-    }
-    return dataclasses.replace(fit, metadata={**fit.metadata, "plan": plan | more})
+    plan = dataclasses.replace(
+        plan,
+        corrections=passes,
+        corrected_by=model_label(exact),
+        largest_correction=largest,
+        remaining_error=left,
+    )
+    return dataclasses.replace(fit, plan=plan)
 
 
 def _cost(found: tuple[AbstractTransport, float]) -> int:

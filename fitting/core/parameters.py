@@ -75,6 +75,9 @@ class Parameter:
     - `centre`: physical value at which the prior is centred and the search starts.
     - `spread`: standard deviation of the prior in the transform's coordinate; `None` is flat.
     - `nuisance`: it is not asked for but must be free for the intervals to be honest.
+    - What it belongs to, where it belongs to one of several: `layer` of water, from 1 at the top;
+      `photograph` and `chart` of it, from 0; `channel` of the camera; `wavelength`, nm.
+    - `kind`: what it is, without what it belongs to ("cdom" of cdom_2); its name unless given.
     """
 
     name: str
@@ -83,8 +86,16 @@ class Parameter:
     transform: AbstractTransform = Log()
     unit: str = "1"
     nuisance: bool = False
+    kind: str = ""
+    layer: int | None = None
+    photograph: int | None = None
+    chart: int | None = None
+    channel: str | None = None
+    wavelength: float | None = None
 
     def __post_init__(self):
+        if not self.kind:
+            object.__setattr__(self, "kind", self.name)
         self.transform.coordinate(self.centre)
         if self.spread is not None and not self.spread > 0:
             raise ValueError(f"spread of {self.name} must be positive or None, not {self.spread}.")
@@ -144,10 +155,19 @@ class Parameters(tuple[Parameter, ...]):
         )
 
     def replace(self, changes: Mapping[str, Parameter]) -> "Parameters":
-        """The same set with some parameters exchanged by name."""
+        """The same set with some parameters exchanged by name.
+
+        The new ones belong to the layer, photograph, ... of those that they replace.
+        """
         for name in changes:
             if name not in self.names:
                 from oceaninv.foundation.tables import unknown
 
                 raise unknown("parameter", name, sorted(self.names))
-        return Parameters([changes.get(p.name, p) for p in self])
+        return Parameters([_placed(changes[p.name], p) if p.name in changes else p for p in self])
+
+
+def _placed(new: Parameter, old: Parameter) -> Parameter:
+    """The new parameter in the place of the old one."""
+    places = ("kind", "layer", "photograph", "chart", "channel", "wavelength")
+    return dataclasses.replace(new, **{name: getattr(old, name) for name in places})

@@ -4,17 +4,20 @@ import dataclasses
 import json
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
+from fitting.core.diagnostics import ModelChoice, SamplerDiagnostics, Status
 from fitting.core.parameters import Log, Parameter, Parameters
 
 if TYPE_CHECKING:
     import xarray
 
 Vector = Float[np.ndarray, " unknown"]
+
+LEVEL = 0.95  # of the intervals in tables, pictures and files
 
 # A standard deviation of the logarithm beyond which a number would mislead: only an interval is
 # given.  A posterior as wide as this share of its prior was decided by the prior.
@@ -30,6 +33,7 @@ class Quantity:
     (draw, ...) values of a sampled posterior, whose quantiles are then the intervals.  `dof`:
     degrees of freedom of its own, of the shape of `value`, where it has such.  `second_order_sd`:
     standard deviation of the second-order error, which widens intervals (see `half_width`).
+    `kind`: what it is without where ("Kd" of Kd_490), a key of `STANDARD_NAMES` where that has it.
     """
 
     value: np.ndarray
@@ -39,6 +43,7 @@ class Quantity:
     samples: np.ndarray | None = None
     dof: np.ndarray | None = None
     second_order_sd: np.ndarray | float = 0.0
+    kind: str = ""
 
     def interval(self, level: float = 0.95, dof: float | Vector | None = None):
         """(low, high) that holds the truth with probability `level`."""
@@ -82,6 +87,41 @@ def amount_bias(sd: Any):
     return -0.5 * sd * sd.clip(max=1.0)
 
 
+class Description(NamedTuple):
+    """What a quantity is: unit, long name, and its kind ("Kd" of Kd_490)."""
+
+    unit: str
+    long_name: str
+    kind: str = ""
+
+
+@dataclasses.dataclass(frozen=True)
+class Number:
+    """One number of a fit, as tables, pictures and files show it.
+
+    `low`, `high`: ends of its 95 % interval; `identifiable`: whether the data determine it, so that
+    `value` may be quoted; `wavelength`: of the band it belongs to (nm), if it does.
+    """
+
+    name: str
+    unit: str
+    value: float
+    low: float
+    high: float
+    identifiable: bool
+    wavelength: float | None = None
+
+    @property
+    def value_text(self) -> str:
+        """The value, or that it is not identifiable."""
+        return f"{self.value:.3g}" if self.identifiable else "not identifiable"
+
+    @property
+    def interval_text(self) -> str:
+        """The interval."""
+        return f"{self.low:.3g} - {self.high:.3g}"
+
+
 @dataclasses.dataclass(frozen=True)
 class Predictive:
     """Observations beside what the fitted model predicts, all of one shape.
@@ -105,13 +145,23 @@ class Fit:
     - `covariance`: (unknown, unknown) of the parameters' coordinates (the logarithm for positive
       ones), in the order of `parameters`; `correlation` follows from it.
     - `identifiable`: by name, whether the data fix the parameter: sd of the logarithm at most
-      0.5 and clearly narrower than the prior.
-    - `quantities`: derived quantities (Kd, c, ...).
-    - `result`: a sentence that says whether the search converged.
+      0.5, clearly narrower than the prior, and a 95 % interval that is no wider than the prior's.
+    - `quantities`: derived quantities (Kd, c, ...) by name.
+    - `wavelength`: (wl,) of spectral quantities and observations, nm.
+    - `ended`: the `Status` with which the search or sampler ended.  `status` is that, or
+      NUMBERS_NOT_FINITE where a number that is asked for is not finite; `result` is its message,
+      `converged` whether it is CONVERGED.
     - `posterior_predictive`: observations beside predictions.
+    - `metadata`: model, data, counts of masked values, notes; `facts` adds what the fields below
+      say of the search.
     - `dof`: degrees of freedom when the noise was estimated from the residuals, (unknown,) where
       the parameters differ; else None.
-    - `metadata`: model, data, counts of masked values, notes.
+    - `sensitivity`: by answer and nuisance, the relative change of the answer if the nuisance's
+      prior were centred one standard deviation higher (linearised).
+    - `noise_factor`: the factor on the stated noise of the observations, 1 or the Birge ratio,
+      where the fit checks that noise; else None.
+    - `plan`: the choice of the transport of a fit within a tolerance; else None.
+    - `sampling`: diagnostics of the sampler that drew `samples`; else None.
     - `problem`: the posterior itself, for `fitting.sample`; None where a fit keeps none.
     - `samples`: (draw, unknown) coordinates drawn from the posterior, or None; intervals are
       then their quantiles.
@@ -128,7 +178,7 @@ class Fit:
     covariance: np.ndarray
     quantities: Mapping[str, Quantity]
     wavelength: np.ndarray
-    result: str
+    ended: Status
     posterior_predictive: Predictive
     metadata: Mapping[str, Any]
     dof: float | Vector | None = None
@@ -137,6 +187,9 @@ class Fit:
     samples: np.ndarray | None = dataclasses.field(default=None, repr=False)
     bias: np.ndarray | None = dataclasses.field(default=None, repr=False)
     second_order_sd: np.ndarray | None = dataclasses.field(default=None, repr=False)
+    noise_factor: float | None = None
+    plan: ModelChoice | None = None
+    sampling: SamplerDiagnostics | None = None
 
     @property
     def centre(self) -> Vector:
@@ -163,31 +216,93 @@ class Fit:
         return self.covariance / np.outer(sd, sd)
 
     @property
-    def converged(self) -> bool:
-        """Whether the search ended at an optimum."""
-        return self.result == "converged"
+    def status(self) -> Status:
+        """How the fit ended; never CONVERGED where a number that is asked for is not finite.
 
-    def interval(self, name: str, level: float = 0.95) -> tuple[float, float]:
+        A spectral quantity may be NaN in bands without data, but not in all of them.
+        """
+        if self.ended != Status.CONVERGED:
+            return self.ended
+        asked = np.array([not p.nuisance for p in self.parameters], dtype=bool)
+        finite = np.isfinite(self.centre) & np.isfinite(np.diag(self.covariance))
+        good = finite[asked].all() and all(map(_is_finite, self.quantities.values()))
+        return self.ended if good else Status.NUMBERS_NOT_FINITE
+
+    @property
+    def result(self) -> str:
+        """The message of `status`."""
+        message = self.status.message
+        if self.status == Status.CHAINS_DISAGREE and self.sampling is not None:
+            rhat = self.sampling.largest_split_rhat
+            message += f" (split R-hat of {self.sampling.least_agreed}: {rhat:.2f})"
+        return message
+
+    @property
+    def converged(self) -> bool:
+        """Whether the search ended at an optimum, with finite numbers."""
+        return self.status == Status.CONVERGED
+
+    @property
+    def facts(self) -> dict[str, Any]:
+        """`metadata`, with `noise_factor`, `plan` and `sampling` where the fit has them."""
+        found = dict(self.metadata)
+        if self.noise_factor is not None:
+            found["noise_factor"] = self.noise_factor
+        if self.plan is not None:
+            found["plan"] = self.plan.facts()
+        if self.sampling is not None:
+            found["sampling"] = dataclasses.asdict(self.sampling)
+        return found
+
+    def interval(self, name: str, level: float = LEVEL) -> tuple[float, float]:
         """(low, high) that holds the parameter with probability `level`."""
         i = self.parameters.names.index(name)
-        transform = self.parameters[i].transform
+        low, high = map(self.parameters[i].transform.physical, self._ends(i, level))
+        return float(low), float(high)
+
+    def _ends(self, i: int, level: float) -> tuple[float, float]:
+        """Ends of an interval of the coordinate of unknown `i`."""
         if self.samples is not None:
-            ends = np.quantile(self.samples[:, i], [0.5 - 0.5 * level, 0.5 + 0.5 * level])
-            low, high = (float(transform.physical(end)) for end in ends)
+            low, high = np.quantile(self.samples[:, i], [0.5 - 0.5 * level, 0.5 + 0.5 * level])
             return low, high
         dof = self.dof[i] if isinstance(self.dof, np.ndarray) else self.dof
         second_order_sd = 0.0 if self.second_order_sd is None else self.second_order_sd[i]
         reach = half_width(level, np.sqrt(self.covariance[i, i]), second_order_sd, dof)
-        low, high = self.x[i] - reach, self.x[i] + reach
-        return float(transform.physical(low)), float(transform.physical(high))
+        return self.x[i] - reach, self.x[i] + reach
 
     @property
     def identifiable(self) -> dict[str, bool]:
         """Whether the data, rather than the prior, fix each parameter."""
+        ends = [self._ends(i, LEVEL) for i in range(len(self.parameters))]
         return {
-            p.name: _identifiable(p, sd)
-            for p, sd in zip(self.parameters, self.sd.values(), strict=True)
+            p.name: _identifiable(p, sd, 0.5 * (high - low))
+            for p, sd, (low, high) in zip(self.parameters, self.sd.values(), ends, strict=True)
         }
+
+    def parameter_numbers(self) -> list[Number]:
+        """All unknowns, nuisances included."""
+        value, known = self.value, self.identifiable
+        return [
+            Number(
+                p.name, p.unit, value[p.name], *self.interval(p.name), known[p.name], p.wavelength
+            )
+            for p in self.parameters
+        ]
+
+    def numbers(self) -> list[Number]:
+        """The numbers of the fit: scalar quantities, then the unknowns that were asked for."""
+        found = [
+            Number(name, q.unit, float(q.value), *self._quantity_ends(q), bool(q.sd <= _UNKNOWN_SD))
+            for name, q in self.quantities.items()
+            if q.value.ndim == 0
+        ]
+        pairs = zip(self.parameters, self.parameter_numbers(), strict=True)
+        return found + [number for p, number in pairs if not p.nuisance]
+
+    def _quantity_ends(self, quantity: Quantity) -> tuple[float, float]:
+        dof = None if isinstance(self.dof, np.ndarray) else self.dof
+        low, high = quantity.interval(LEVEL, dof)
+        return float(low), float(high)
 
     @property
     def wide(self) -> bool:
@@ -212,23 +327,44 @@ class Fit:
         Fit.draw(self, path, overwrite=overwrite)
 
     def metadata_json(self) -> str:
-        """Metadata as one line of JSON."""
-        return json.dumps(dict(self.metadata), default=str)
+        """`facts` as one line of JSON."""
+        return json.dumps(self.facts, default=str)
 
 
-def _identifiable(parameter: Parameter, sd: float) -> bool:
+def sensitivity_text(shifts: Mapping[str, float], most: int) -> str:
+    """The `most` largest of an answer's sensitivities, as "cdom_slope +12 %, backscatter -5 %"."""
+    largest = sorted(shifts.items(), key=lambda item: -abs(item[1]))[:most]
+    return ", ".join(f"{name} {100 * shift:+.0f} %" for name, shift in largest)
+
+
+def _is_finite(quantity: Quantity) -> bool:
+    """Whether all numbers of a quantity are finite, apart from bands without a value."""
+    given = ~np.isnan(quantity.value)
+    finite = np.isfinite(quantity.value) & np.isfinite(quantity.sd)
+    return bool(np.any(given) and np.all(finite[given]))
+
+
+def _identifiable(parameter: Parameter, sd: float, half_width: float = 0.0) -> bool:
+    """Whether the data fix a parameter of this standard deviation and 95 % interval, both in its
+    coordinate."""
     narrow = sd <= _UNKNOWN_SD or not isinstance(parameter.transform, Log)
-    informed = parameter.spread is None or sd <= _PRIOR_SHARE * parameter.spread
+    spread = np.inf if parameter.spread is None else parameter.spread
+    informed = sd <= _PRIOR_SHARE * spread and half_width <= quantile(LEVEL) * spread
     return bool(np.isfinite(sd) and narrow and informed)
 
 
 def derived_quantity(
-    values: np.ndarray, jacobian: np.ndarray, covariance: np.ndarray, unit: str, long_name: str
+    values: np.ndarray,
+    jacobian: np.ndarray,
+    covariance: np.ndarray,
+    unit: str,
+    long_name: str,
+    kind: str = "",
 ) -> Quantity:
     """Delta method for a positive quantity: `values` (...), `jacobian` (..., unknown)."""
     relative = jacobian / values[..., None]
     variance = np.einsum("...i,ij,...j->...", relative, covariance, relative)
-    return Quantity(values, np.asarray(np.sqrt(variance)), unit, long_name)
+    return Quantity(values, np.asarray(np.sqrt(variance)), unit, long_name, kind=kind)
 
 
 STANDARD_NAMES = {
@@ -244,9 +380,6 @@ STANDARD_NAMES = {
 }
 
 
-LEVEL = 0.95
-
-
 def dataset(fit: Fit) -> "xarray.Dataset":
     """Parameters, quantities and observations of a fit with CF attributes.
 
@@ -260,22 +393,25 @@ def dataset(fit: Fit) -> "xarray.Dataset":
 
 def _content(fit: Fit) -> tuple[dict, dict, dict]:
     """(variables, coordinates, attributes) of `dataset`."""
-    names = list(fit.parameters.names)
-    low, high = np.array([fit.interval(name, LEVEL) for name in names]).T
+    numbers = fit.parameter_numbers()
+
+    def column(name: str, dtype: type = float) -> np.ndarray:
+        return np.array([getattr(number, name) for number in numbers], dtype=dtype)
+
     data: dict = {
-        "value": ("parameter", np.array(list(fit.value.values())), {"long_name": "best value"}),
-        "low": ("parameter", low, {"long_name": "lower end of the 95 % interval"}),
-        "high": ("parameter", high, {"long_name": "upper end of the 95 % interval"}),
+        "value": ("parameter", column("value"), {"long_name": "best value"}),
+        "low": ("parameter", column("low"), {"long_name": "lower end of the 95 % interval"}),
+        "high": ("parameter", column("high"), {"long_name": "upper end of the 95 % interval"}),
         "identifiable": (
             "parameter",
-            np.array(list(fit.identifiable.values()), dtype=np.int8),
+            column("identifiable", np.int8),
             {
                 "long_name": "whether the data fix the parameter",
                 "flag_values": np.array([0, 1], dtype=np.int8),
                 "flag_meanings": "prior_dominated fixed_by_data",
             },
         ),
-        "parameter_unit": ("parameter", np.array([p.unit for p in fit.parameters], dtype=str)),
+        "parameter_unit": ("parameter", column("unit", str)),
         "correlation": (
             ("parameter", "other"),
             fit.correlation,
@@ -285,9 +421,9 @@ def _content(fit: Fit) -> tuple[dict, dict, dict]:
     for name, quantity in fit.quantities.items():
         dims = () if quantity.value.ndim == 0 else ("wavelength",)
         attributes = {"units": quantity.unit, "long_name": quantity.long_name}
-        stem = name.split("_")[0]
-        if stem in STANDARD_NAMES:
-            attributes["standard_name"] = STANDARD_NAMES[stem]
+        kind = quantity.kind or name
+        if kind in STANDARD_NAMES:
+            attributes["standard_name"] = STANDARD_NAMES[kind]
         below, above = quantity.interval(LEVEL, fit.dof)
         data[name] = (dims, quantity.value, attributes)
         for suffix, value in (("low", below), ("high", above)):
@@ -305,7 +441,7 @@ def _content(fit: Fit) -> tuple[dict, dict, dict]:
             attributes["standard_name"] = STANDARD_NAMES["Ed"]
         data[f"{label}_{suffix}"] = (predictive.axes, value, attributes)
     coords: dict = {
-        "parameter": np.array(names, dtype=str),
+        "parameter": column("name", str),
         "wavelength": (
             "wavelength",
             fit.wavelength,

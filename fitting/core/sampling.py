@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Key
 
+from fitting.core.diagnostics import SamplerDiagnostics, Status
 from fitting.core.problem import AbstractProblem
 from fitting.core.program_cache import cached_jit
 from fitting.core.result import Fit, Quantity
@@ -26,8 +27,8 @@ class NUTS(eqx.Module):
       `chains`: side by side; `doublings`: of a trajectory at most.
 
     Cost: one gradient of the model per step of a trajectory.  The posterior of a photograph with
-    few readings is a long, thin, curved valley: steps are some 0.03 standard deviations, and a
-    run takes minutes.
+    few readings is a long, thin, curved ridge: steps are some 0.03 standard deviations, and a run
+    takes minutes.
 
     Source: Hoffman & Gelman 2014, Betancourt 2017 (multinomial form), through blackjax (extra
     `mcmc`).
@@ -54,8 +55,8 @@ def sample(
     - `sampler`: how many draws, chains and steps.
 
     **Returns** a `Fit` whose intervals are quantiles of the draws (`samples`), for derived
-    quantities too, with medians as values; `metadata["sampler"]` holds the diagnostics, and
-    `result` says when they forbid trust.
+    quantities too, with medians as values; `sampling` holds the diagnostics, and the `status` is
+    CHAINS_DISAGREE where split R-hat exceeds 1.05.
     """
     if fit.problem is None:
         raise ValueError(
@@ -90,30 +91,19 @@ def _by_nuts(fit: Fit, key, sampler: NUTS) -> Fit:
     chains, diverged, accepted = _run(
         problem, jnp.asarray(middle), new, jnp.asarray(start), second, sampler, length
     )
-    diagnostics = {
-        "sampler": "NUTS",
-        "acceptance": float(np.mean(accepted)),
-        "diverging_trajectories": int(np.sum(diverged)),
-    }
-    return _checked(fit, np.asarray(chains), diagnostics)
-
-
-def _checked(fit: Fit, chains: np.ndarray, diagnostics: dict) -> Fit:
-    """The sampled fit with the diagnostics of its chains."""
+    chains = np.asarray(chains)
     rhat, effective = _diagnostics(chains)
-    result = fit.result
-    if not rhat.max() < _AGREE:
-        worst = fit.parameters.names[int(np.argmax(rhat))]
-        result = (
-            f"the chains disagree about {worst} (split R-hat {rhat.max():.2f}): ask for more draws "
-            "or give prior knowledge"
-        )
-    diagnostics |= {
-        "draws": chains.shape[0] * chains.shape[1],
-        "largest_split_rhat": float(rhat.max()),
-        "effective_draws": float(effective.min()),
-    }
-    return _posterior(fit, chains.reshape(-1, chains.shape[-1]), diagnostics, result)
+    diagnostics = SamplerDiagnostics(
+        "NUTS",
+        chains.shape[0] * chains.shape[1],
+        float(effective.min()),
+        float(np.mean(accepted)),
+        int(np.sum(diverged)),
+        float(rhat.max()),
+        fit.parameters.names[int(np.argmax(rhat))],
+    )
+    ended = fit.ended if rhat.max() < _AGREE else Status.CHAINS_DISAGREE
+    return _posterior(fit, chains.reshape(-1, chains.shape[-1]), diagnostics, ended)
 
 
 def _root(covariance) -> Array:
@@ -177,14 +167,14 @@ def _push(problem: AbstractProblem, draws):
     return jax.lax.map(problem.quantities, draws, batch_size=50)
 
 
-def _posterior(fit: Fit, draws: np.ndarray, diagnostics: dict, result: str) -> Fit:
+def _posterior(fit: Fit, draws: np.ndarray, diagnostics: SamplerDiagnostics, ended: Status) -> Fit:
     derived = _push(fit.problem, jnp.asarray(draws))
     quantities = {}
     for name, old in fit.quantities.items():
         values = np.asarray(derived[name])
         middle = np.asarray(np.median(values, axis=0))
         sd = np.asarray(np.std(np.log(values), axis=0))
-        quantities[name] = Quantity(middle, sd, old.unit, old.long_name, values)
+        quantities[name] = Quantity(middle, sd, old.unit, old.long_name, values, kind=old.kind)
     return dataclasses.replace(
         fit,
         x=np.median(draws, axis=0),
@@ -193,8 +183,8 @@ def _posterior(fit: Fit, draws: np.ndarray, diagnostics: dict, result: str) -> F
         samples=draws,
         bias=None,
         second_order_sd=None,
-        metadata=dict(fit.metadata) | {"sampling": diagnostics},
-        result=result,
+        ended=ended,
+        sampling=diagnostics,
     )
 
 

@@ -15,6 +15,7 @@ from collections.abc import Callable
 import jax.numpy as jnp
 import numpy as np
 
+from fitting.core.multifidelity import chosen_model
 from fitting.core.program_cache import cached_jit
 from fitting.core.result import Fit
 from fitting.photo.problem import Correction, PhotoProblem, predict_all
@@ -94,9 +95,8 @@ def refine_with_exact_model(
     to start from) -> the optimum and its standard deviations; `solve` (coordinates to start from,
     correction) -> the fit.
 
-    The result's `metadata["plan"]` says how many searches followed (`corrections`), whether the
-    unknowns had settled at the end (`settled`), and `error_left`: the largest relative difference
-    between the exact model and the fitted readings.
+    The result's `plan` says how many searches followed, whether the unknowns had settled at the
+    end, and the largest relative difference between the exact model and the fitted readings.
     """
     x, unit = np.asarray(fit.x), np.sqrt(np.diag(fit.covariance))
     ratios = exact_ratios(problem, x, exact)
@@ -132,15 +132,15 @@ def refine_with_exact_model(
     seen = exact_ratios(problem, found.x, exact)
     fitted = [np.asarray(last.factor(p, jnp.asarray(found.x))) for p in range(len(seen))]
     left = max(_largest(a / b) for a, b in zip(seen, fitted, strict=True))
-    plan = fit.metadata["plan"] | {
-        "corrections": searches,
-        "settled": settled,
-        "corrected_by": model_label(exact),
-        "largest_correction": max(map(_largest, seen)),
-        "error_left": left,
-        "kept": left <= fit.metadata["plan"]["tolerance"],
-    }
-    return dataclasses.replace(found, metadata={**found.metadata, "plan": plan})
+    plan = dataclasses.replace(
+        chosen_model(fit),
+        corrections=searches,
+        settled=settled,
+        corrected_by=model_label(exact),
+        largest_correction=max(map(_largest, seen)),
+        remaining_error=left,
+    )
+    return dataclasses.replace(found, plan=plan)
 
 
 def _largest(ratio: np.ndarray) -> float:

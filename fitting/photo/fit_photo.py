@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 import oceaninv as oi
+from fitting.core.diagnostics import Status
 from fitting.core.least_squares import (
     Optimum,
     covariance,
@@ -96,7 +97,7 @@ def _solve(problem: PhotoProblem, starts: Float[Array, "start unknown"]):
         optima = jax.vmap(lambda start: search(problem, start))(starts)
         sums = jnp.sum(optima.residual**2, axis=1)
         # An optimum beats a search that stopped short, whatever their sums.
-        order = jnp.where(optima.code == 0, sums, sums + 1e30)
+        order = jnp.where(optima.code == Status.CONVERGED, sums, sums + 1e30)
         best = jnp.argmin(jnp.where(jnp.isfinite(sums), order, jnp.inf))
         optimum = jax.tree.map(lambda leaf: leaf[best], optima)
     return _derived(problem, optimum)
@@ -191,8 +192,8 @@ def fit_photo(
     its own profile: the ellipsoid is too small where it came out high.
 
     Readings that scatter more about the model than their noise allows have their noise estimated
-    from that scatter, and the fit done again: `metadata["noise_factor"]` says by how much the
-    stated noise was multiplied (1: not at all), `metadata["reduced_chi2"]` is by the stated noise.
+    from that scatter, and the fit done again: `Fit.noise_factor` says by how much the stated noise
+    was multiplied (1: not at all), `metadata["reduced_chi2"]` is by the stated noise.
     """
     photos = [photos] if isinstance(photos, Photo) else list(photos)
     if not photos:
@@ -237,7 +238,7 @@ def fit_photo(
         optimum, cov, *_ = _solve(problem, jnp.asarray(x)[None])
         return np.asarray(optimum.x), np.sqrt(np.diag(np.asarray(cov)))
 
-    stated = scale_noise(fit.problem, 1.0 / fit.metadata["noise_factor"])
+    stated = scale_noise(fit.problem, 1.0 / (fit.noise_factor or 1.0))
     return refine_with_exact_model(
         fit, stated, EXACT, search_again, lambda x, c: solve(chosen, x, c)
     )

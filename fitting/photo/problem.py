@@ -138,10 +138,10 @@ def _unknowns(photos: Sequence[Photo], matrix: bool) -> Parameters:
         Parameter("solar_zenith", max(sun, 1.0), 0.1, Log(), "degree", True),
         Parameter("sunlight_tilt", 0.0, 0.05, Identity(), "1", True),
         # What the closed form gets wrong in Kd.  Set by an Ed that erred more than today's; kept,
-        # because the coverage in photo_mismatched.md was measured with it.
+        # because the coverage in photo_statistics_mismatched.md was measured with it.
         Parameter("kd_model_error", 0.0, 0.035, Identity(), "1", True),
         # The error of the closed-form path radiance, per channel.
-        *(Parameter(f"veil_{c}", 1.0, 0.06, nuisance=True) for c in "RGB"),
+        *(Parameter(f"veil_{c}", 1.0, 0.06, nuisance=True, kind="veil", channel=c) for c in "RGB"),
     ]
     shift = max(photo.response_shift for photo in photos)
     if shift > 0:
@@ -152,13 +152,15 @@ def _unknowns(photos: Sequence[Photo], matrix: bool) -> Parameters:
         ]
     if matrix:
         unknowns += [
-            Parameter(f"mix_{i}{j}", 0.0, 0.3, Identity(), nuisance=True)
+            Parameter(f"mix_{i}{j}", 0.0, 0.3, Identity(), nuisance=True, kind="mix", channel=i)
             for i in "RGB"
             for j in "RGB"
             if i != j
         ]
     if any(photo.exposure is not None for photo in photos):
-        unknowns += [Parameter(f"gain_{c}", 1.0, None, nuisance=True) for c in "RGB"]
+        unknowns += [
+            Parameter(f"gain_{c}", 1.0, None, nuisance=True, kind="gain", channel=c) for c in "RGB"
+        ]
     if any(photo.lamp for photo in photos):
         # Where lamp and view begin to overlap, which the lamp's arm and cone decide.
         unknowns.append(Parameter("overlap_distance", 0.2, 0.7, Log(), "m", True))
@@ -168,20 +170,26 @@ def _unknowns(photos: Sequence[Photo], matrix: bool) -> Parameters:
 
 
 def _of_frame(p: int, photo: Photo) -> list[Parameter]:
-    found = [Parameter(f"depth_{p}", photo.depth, photo.depth_sd, Log(), "m", nuisance=True)]
+    def unknown(kind, centre, spread, *, chart=None, channel=None, **more):
+        place = f"_{chart}" if chart is not None else f"_{channel}" if channel else ""
+        where = {"photograph": p, "chart": chart, "channel": channel}
+        name = f"{kind}_{p}{place}"
+        return Parameter(name, centre, spread, nuisance=True, kind=kind, **where, **more)
+
+    found = [unknown("depth", photo.depth, photo.depth_sd, unit="m")]
     if photo.exposure is None:
-        found += [Parameter(f"gain_{p}_{c}", 1.0, None, nuisance=True) for c in "RGB"]
+        found += [unknown("gain", 1.0, None, channel=c) for c in "RGB"]
     else:
-        found.append(Parameter(f"exposure_{p}", 1.0, photo.exposure_sd, nuisance=True))
+        found.append(unknown("exposure", 1.0, photo.exposure_sd))
     for k, chart in enumerate(photo.charts):
         # A lamp lights charts by the square of their distance, but for its cone and their tilt.
         spread = _LAMP_EVENNESS if photo.lamp else 1.0
-        found.append(Parameter(f"chart_{p}_{k}", 1.0, spread, nuisance=True))
+        found.append(unknown("chart", 1.0, spread, chart=k))
         if chart.distance_sd > 0:
-            found.append(Parameter(f"range_{p}_{k}", 1.0, chart.distance_sd, nuisance=True))
+            found.append(unknown("range", 1.0, chart.distance_sd, chart=k))
     if photo.pixels is not None:
         found += [
-            Parameter(f"albedo_{p}_{k}", 0.0, 1.0, Identity(), nuisance=True)
+            Parameter(f"albedo_{p}_{k}", 0.0, 1.0, Identity(), "1", True, "albedo", photograph=p)
             for k in range(ALBEDO_TERMS)
         ]
     return found
@@ -206,6 +214,7 @@ def _start_gains(parameters: Parameters, readings, transport, sunlight) -> Param
     centre = parameters.prior().centre
     at_centre = predict_all(parameters.layout(), readings, transport, sunlight, centre)
     changes, shared = {}, []
+    at = {(g.photograph, g.channel): g for g in parameters if g.kind == "gain"}
     for p, (one, (model, pixels)) in enumerate(zip(readings, at_centre, strict=True)):
         ratio = np.where(np.asarray(one.mask), np.asarray(one.values) / np.asarray(model), np.nan)
         if pixels is not None:
@@ -215,14 +224,16 @@ def _start_gains(parameters: Parameters, readings, transport, sunlight) -> Param
             if np.all(np.isnan(column)):
                 raise ValueError(f"photograph {p} has no usable reading in channel {c}.")
             if one.exposure is None:
-                name = f"gain_{p}_{c}"
-                changes[name] = Parameter(name, float(np.nanmedian(column)), None, nuisance=True)
+                gain = dataclasses.replace(
+                    at[p, c], centre=float(np.nanmedian(column)), spread=None
+                )
+                changes[gain.name] = gain
         if one.exposure is not None:
             shared.append(ratio)
     if shared:
         for c, column in zip("RGB", np.concatenate(shared).T, strict=True):
-            name = f"gain_{c}"
-            changes[name] = Parameter(name, float(np.nanmedian(column)), None, nuisance=True)
+            gain = dataclasses.replace(at[None, c], centre=float(np.nanmedian(column)), spread=None)
+            changes[gain.name] = gain
     return parameters.replace(changes)
 
 

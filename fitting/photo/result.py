@@ -2,10 +2,8 @@
 
 import numpy as np
 
-from fitting.core.least_squares import (
-    SecondOrderError,
-    sentence,
-)
+from fitting.core.diagnostics import Status
+from fitting.core.least_squares import SecondOrderError
 from fitting.core.parameters import Log
 from fitting.core.profile_likelihood import profile_adjusted_covariance
 from fitting.core.result import Fit, Predictive, amount_bias
@@ -77,7 +75,7 @@ def _result(
         cov,
         quantities,
         WAVELENGTH,
-        sentence(optimum.code),
+        Status(int(optimum.code)),
         predictive,
         {
             "source": "; ".join(photo.source for photo in photos),
@@ -91,10 +89,10 @@ def _result(
             "masked_values": sum(photo.masked for photo in photos),
             "readings": count,
             "reduced_chi2": stated,
-            "noise_factor": factor,
         },
         sensitivity=sensitivity,
         problem=problem,
         bias=bias,
         second_order_sd=second_order_sd,
+        noise_factor=factor,
     )

@@ -4,7 +4,7 @@ import jax
 import numpy as np
 
 import oceaninv as oi
-from fitting.core.least_squares import sentence
+from fitting.core.diagnostics import Status
 from fitting.core.multifidelity import EXACT, AccuracyTarget, corrected_fit, multifidelity_fit
 from fitting.core.parameters import Log, Parameter, Parameters
 from fitting.core.result import Fit
@@ -67,7 +67,7 @@ def fit_profile(
     - `tolerance`: instead of a transport, the largest relative error of Ed that it may bring: the
       cheapest that is good enough for the water found is taken, see `oceaninv.plan`, and what it
       gets wrong there is corrected by one to three looks at the exact light; which, its predicted
-      error and the correction stand in `metadata["plan"]`.
+      error and the correction stand in `Fit.plan`.
 
     **Returns** a `Fit` with the quantity "Kd" at the profile's wavelengths (which mean it is
     stands in `metadata["kd_definition"]`).  Without a transport also Ed(0-); where the profile
@@ -128,11 +128,12 @@ def _unknowns(window: FitWindow, bands: BandFit, priors) -> Parameters:
         [
             *(layer_unknowns(layers, zenith) if layers else water_unknowns(zenith)),
             *(
-                Parameter(f"Ed0_{wl:g}", float(e), None, Log(), "W m-2 nm-1", True)
+                Parameter(f"Ed0_{wl:g}", float(e), None, Log(), "W m-2 nm-1", True, "Ed0",
+                          wavelength=float(wl))
                 for wl, e in zip(profile.wavelength, surface, strict=True)
             ),
         ]
-    )
+    )  # fmt: skip
     return parameters.replace(priors or {})
 
 
@@ -200,7 +201,7 @@ def _constituent_fit(cast: Cast, bands, transport, priors, metadata, start=None,
         cov,
         quantities,
         profile.wavelength,
-        sentence(optimum.code),
+        Status(int(optimum.code)),
         _predictive(profile, mask, bands, np.asarray(fitted)[: len(profile.depth)]),
         metadata,
         sensitivity=sensitivity,

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from fitting.core.least_squares import RESULTS
+from fitting.core.diagnostics import Status
 from fitting.core.parameters import Parameter
 from fitting.core.result import STANDARD_NAMES, Fit, Quantity
 from fitting.observations.profile import Profile
@@ -20,6 +20,9 @@ from oceaninv.transport.base import AbstractTransport
 
 if TYPE_CHECKING:
     import xarray
+
+# How the search of a band can have ended.
+_ENDED = (Status.CONVERGED, Status.STEP_LIMIT, Status.MODEL_NOT_FINITE)
 
 
 class ProfileFits:
@@ -110,7 +113,7 @@ class ProfileFits:
         definitions = sorted({cast.definition for cast in self._casts.values()})
         notes = {
             "long_name": "how the search ended",
-            "flag_values": np.array([-1, *RESULTS], dtype=np.int8),
+            "flag_values": np.array([-1, *_ENDED], dtype=np.int8),
             "flag_meanings": "absent converged step_limit not_finite",
         }
         every = {**self.water_failures, **self.failures}
@@ -140,12 +143,11 @@ class ProfileFits:
         found = cast_quantities(cast, fits) | light_depths(cast, fits["Ed"])[0]
         if i in self._waters:
             fit = self.water(i)
-            sd = fit.sd
+            value, sd = fit.value, fit.sd
             for p in fit.parameters:
                 if not p.nuisance:
-                    found[p.name] = Quantity(
-                        np.array(fit.value[p.name]), np.array(sd[p.name]), p.unit, p.name
-                    )
+                    numbers = np.array(value[p.name]), np.array(sd[p.name])
+                    found[p.name] = Quantity(*numbers, p.unit, p.name, kind=p.kind)
             found |= {n: q for n, q in fit.quantities.items() if q.value.ndim == 0}
         return found
 
@@ -173,7 +175,7 @@ class _Table:
             kind = self.kinds[name]
             dims = ("cast", "wavelength")[: rows.ndim - 1]
             notes = {"units": kind.unit, "long_name": kind.long_name}
-            standard = STANDARD_NAMES.get(name.split("_")[0])
+            standard = STANDARD_NAMES.get(kind.kind or name)
             own = {"standard_name": standard} if standard else {}
             found[name] = (dims, rows[0], notes | own)
             for suffix, row, words in (("low", rows[1], "2.5 %"), ("high", rows[2], "97.5 %")):

@@ -1,16 +1,12 @@
-"""Results as files: CF-style datasets and pictures, written whole or not at all."""
+"""Pictures of fits."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from fitting.core.result import LEVEL, Fit, Quantity
 from fitting.report._bulk_picture import draw_coefficients
 from oceaninv.foundation.atomic_write import save_figure
-
-if TYPE_CHECKING:
-    pass
 
 
 def picture(
@@ -42,7 +38,7 @@ def picture(
         draw(data, fit)
         _draw_spectra(spectra, fit, constituents)
     _draw_unknowns(unknowns, constituents or fit, fit)
-    # A picture gets passed on: where on this machine the file lay is nobody's business.
+    # Do not print absolute local paths in a picture: pictures are shared.
     sources = str(fit.metadata.get("source", "")).split("; ")
     title = "; ".join(Path(one).name if Path(one).is_absolute() else one for one in sources)
     figure.suptitle(title, fontsize=9, color="0.35")
@@ -146,35 +142,24 @@ def _draw_reflectance(axes, fit: Fit) -> None:
 def _draw_unknowns(axes, fit: Fit, plain: Fit) -> None:
     from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 
-    # Many bands stand among the spectra already.
-    many = len(fit.wavelength) > 8 and any(q.value.ndim == 0 for q in fit.quantities.values())
-    rows = [
-        (
-            f"{p.name} ({p.unit})",
-            fit.value[p.name],
-            fit.interval(p.name, LEVEL),
-            fit.identifiable[p.name],
-        )
-        for p in fit.parameters
-        if not p.nuisance and not (many and p.name.startswith("Kd_"))
-    ]
-    rows += [
-        (f"{name} ({q.unit})", float(q.value), q.interval(LEVEL, one.dof), float(q.sd) <= 0.5)
-        for one in (fit, *([plain] if plain is not fit else []))
-        for name, q in one.quantities.items()
-        if q.value.ndim == 0 and name != "PAR_0"
-    ]
+    # Many bands are drawn among the spectra already, and those of `plain` always.
+    others = plain.numbers() if plain is not fit else []
+    rows = [n for n in [*fit.numbers(), *others] if n.wavelength is None and n.name != "PAR_0"]
+    if len(fit.wavelength) <= 8 or not rows:
+        rows = [n for n in fit.numbers() if n.wavelength is not None] + rows
     # Between many rows there is no room for a second line.
     gap = ", " if len(rows) > 10 else "\n"
-    for y, (label, value, (low, high), known) in enumerate(reversed(rows)):
-        colour = "tab:blue" if known else "0.6"
-        axes.plot([low, high], [y, y], "-", lw=5, color=colour, alpha=0.5, solid_capstyle="butt")
-        if known:
-            axes.plot(value, y, "o", ms=5, color=colour)
-        text = label if known else f"{label}{gap}not identifiable"
+    for y, number in enumerate(reversed(rows)):
+        colour, ends = "tab:blue" if number.identifiable else "0.6", [number.low, number.high]
+        axes.plot(ends, [y, y], "-", lw=5, color=colour, alpha=0.5, solid_capstyle="butt")
+        text = f"{number.name} ({number.unit})"
+        if number.identifiable:
+            axes.plot(number.value, y, "o", ms=5, color=colour)
+        else:
+            text += f"{gap}{number.value_text}"
         axes.text(0.02, y + 0.16, text, fontsize=8, transform=axes.get_yaxis_transform())
     axes.set(xscale="log", yticks=[], ylim=(-0.5, len(rows)), xlabel="value (95 % interval)")
-    ends = np.array([span for _, _, span, _ in rows])
+    ends = np.array([(number.low, number.high) for number in rows])
     if ends.size and np.nanmax(ends) < 30.0 * np.nanmin(ends):
         axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
     else:

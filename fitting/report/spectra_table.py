@@ -23,10 +23,9 @@ def write_spectra(
 ) -> None:
     """Every spectral quantity of a fit with its 95 % interval, a row per wavelength.
 
-    The name's ending decides: .csv, with units in a comment line as `fitting.files.cast_file`
-    reads them, or
-    .sb for SeaBASS (what a header must hold and the fit does not know stands as NA).  Scalars,
-    constituents too, stand in comments.  ValueError for other endings.
+    The name's ending decides the format: .csv, with units in a comment line as
+    `fitting.files.cast_file` reads them, or .sb for SeaBASS (required header entries that the fit
+    does not know are NA).  Scalars and constituents are comments.  ValueError for other endings.
     """
     path = Path(path)
     if path.suffix not in (".csv", ".sb"):
@@ -58,17 +57,11 @@ def write_spectra(
 
 
 def _scalars(fit: Fit) -> list[str]:
-    """One line each: quantities, and the unknowns that were asked for."""
+    """A line for each number that stands in no column."""
     lines = []
-    for name, quantity in fit.quantities.items():
-        if quantity.value.ndim == 0:
-            low, high = quantity.interval(LEVEL, None)
-            value = f"{float(quantity.value):.6g} ({low:.6g} to {high:.6g}) {quantity.unit}"
-            lines.append(f"{name}: {value}")
-    for p in fit.parameters:
-        if not p.nuisance and not p.name.startswith("Kd_"):
-            low, high = fit.interval(p.name, LEVEL)
-            value = f"{fit.value[p.name]:.6g} ({low:.6g} to {high:.6g}) {p.unit}"
-            mark = "" if fit.identifiable[p.name] else ", not identifiable"
-            lines.append(f"{p.name}: {value}{mark}")
+    for number in fit.numbers():
+        if number.wavelength is None:
+            ends = f"({number.low:.6g} to {number.high:.6g})"
+            mark = "" if number.identifiable else ", not identifiable"
+            lines.append(f"{number.name}: {number.value:.6g} {ends} {number.unit}{mark}")
     return lines

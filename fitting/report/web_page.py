@@ -3,10 +3,10 @@
 import base64
 import html
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from fitting.core.result import LEVEL, Fit
+from fitting.core.result import LEVEL, Fit, Number, sensitivity_text
 from fitting.report.picture import picture
 from oceaninv.foundation.atomic_write import atomic_write, checksum_line, with_checksum
 
@@ -29,7 +29,7 @@ def write_html(
 
     `pictures`: (caption, PNG file), shown after the picture of the fit and stored inside the page.
     """
-    water = "".join(_row(*row) for row in _numbers(fit))
+    water = "".join(map(_row, fit.numbers()))
     named = [p for p in fit.parameters if not p.nuisance]
     names = [p.name for p in named]
     index = [fit.parameters.names.index(n) for n in names]
@@ -38,14 +38,11 @@ def write_html(
         + "</tr>"
         for a, i in zip(names, index, strict=True)
     )  # fmt: skip
-    leaning = "".join(
-        f"<tr><td>{name}</td><td style='text-align:left'>{_leaning(shifts)}</td></tr>"
-        for name, shifts in fit.sensitivity.items()
-    )
+    sensitivity = _shifts(fit.sensitivity)
     facts = "".join(
         f"<tr><td>{html.escape(k.replace('_', ' '))}</td><td style='text-align:left'>"
         f"{html.escape(f'{v:.3g}' if isinstance(v, float) else str(v))}</td></tr>"
-        for k, v in fit.metadata.items()
+        for k, v in fit.facts.items()
     )
     with tempfile.TemporaryDirectory() as folder:
         drawn = Path(folder) / "fit.png"
@@ -63,26 +60,23 @@ def write_html(
         f"<th>quantity</th><th>unit</th><th>value</th><th>{LEVEL:.0%} interval</th></tr>{water}"
         f"</table>{images}<h2>Correlations</h2><table><tr><th></th>"
         + "".join(f"<th>{n}</th>" for n in names)
-        + f"</tr>{correlation}</table><h2>What each answer leans on</h2><table><caption>relative "
-        "change if the assumption moved by one standard deviation</caption>"
-        f"{leaning}</table>{_fixed(fit)}<h2>Data and model</h2><table>{facts}</table></html>\n"
+        + f"</tr>{correlation}</table><h2>What each answer is sensitive to</h2><table>"
+        "<caption>relative change if the assumption moved by one standard deviation</caption>"
+        f"{sensitivity}</table>{_fixed(fit)}<h2>Data and model</h2><table>{facts}</table></html>\n"
     )
     with atomic_write(path, overwrite=overwrite) as temporary:
         temporary.write_text(with_checksum(page), encoding="utf-8")
 
 
 def _fixed(fit: Fit) -> str:
-    """The table of what is taken for granted, of fits of photographs."""
+    """The sensitivity of fits of photographs to what their model fixes."""
     from fitting.photo.assumptions import assumptions
     from fitting.photo.problem import PhotoProblem
     from fitting.water_model.alternatives import ALTERNATIVES
 
     if not isinstance(fit.problem, PhotoProblem):
         return ""
-    rows = "".join(
-        f"<tr><td>{name}</td><td style='text-align:left'>{_leaning(shifts)}</td></tr>"
-        for name, shifts in assumptions(fit).items()
-    )
+    rows = _shifts(assumptions(fit))
     meant = "; ".join(f"{name}: {words}" for name, words in ALTERNATIVES.items())
     return (
         "<table><caption>relative change if the model took something else for granted</caption>"
@@ -91,32 +85,25 @@ def _fixed(fit: Fit) -> str:
 
 
 def _caption(fit: Fit) -> str:
-    text = "No number is given for what the data do not fix: its interval is."
+    text = "Where the data do not determine a number, only its interval is given."
     if fit.bias is not None:
         text += " Constituents are corrected for the curvature of the model (Box 1971)."
     return text
 
 
-def _numbers(fit: Fit):
-    """(name, unit, value, interval, known) of scalar quantities, then constituents."""
-    for name, quantity in fit.quantities.items():
-        if quantity.value.ndim == 0:
-            ends = quantity.interval(LEVEL, fit.dof)
-            yield name, quantity.unit, float(quantity.value), ends, bool(quantity.sd <= 0.5)
-    for p in fit.parameters:
-        if not p.nuisance:
-            ends = fit.interval(p.name, LEVEL)
-            yield p.name, p.unit, fit.value[p.name], ends, fit.identifiable[p.name]
-
-
-def _row(name, unit, value, ends, known) -> str:
-    best = f"{value:.3g}" if known else "<span class='no'>not identifiable</span>"
+def _row(number: Number) -> str:
+    best = html.escape(number.value_text)
+    best = best if number.identifiable else f"<span class='no'>{best}</span>"
     return (
-        f"<tr><td>{html.escape(name)}</td><td>{html.escape(unit)}</td><td>{best}</td>"
-        f"<td>{float(ends[0]):.3g} - {float(ends[1]):.3g}</td></tr>"
+        f"<tr><td>{html.escape(number.name)}</td><td>{html.escape(number.unit)}</td>"
+        f"<td>{best}</td><td>{number.interval_text}</td></tr>"
     )
 
 
-def _leaning(shifts) -> str:
-    first = sorted(shifts.items(), key=lambda item: -abs(item[1]))[:3]
-    return ", ".join(f"{html.escape(key)} {100 * shift:+.0f} %" for key, shift in first)
+def _shifts(by_answer: Mapping[str, Mapping[str, float]]) -> str:
+    """Rows of a table: each answer, and what it is most sensitive to."""
+    return "".join(
+        f"<tr><td>{name}</td><td style='text-align:left'>"
+        f"{html.escape(sensitivity_text(shifts, 3))}</td></tr>"
+        for name, shifts in by_answer.items()
+    )

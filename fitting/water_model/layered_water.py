@@ -6,13 +6,15 @@ the layers of Kd that the search starts from.
 """
 
 import dataclasses
+import itertools
 from collections.abc import Mapping, Sequence
 
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from fitting.core.parameters import Log, Parameter, Parameters
+from fitting.core.parameters import Parameter, Parameters
+from fitting.core.result import Description
 from fitting.water_model.quantities import MARKS
 from fitting.water_model.unknowns import constituents, water_iops, water_unknowns
 from oceaninv import FlatSurface, IOPs, Layers, Light, Scene
@@ -31,13 +33,13 @@ def layer_unknowns(interfaces: Sequence[float], solar_zenith: float | None) -> l
         (amounts if p.name in _NAMES else rest).append(p)
     count = len(interfaces) + 1
     made = [
-        dataclasses.replace(p, name=f"{p.name}_{layer}")
+        dataclasses.replace(p, name=f"{p.name}_{layer}", layer=layer)
         for layer in range(1, count + 1)
         for p in amounts
     ]
     thickness = np.diff(interfaces, prepend=0.0)
     made += [
-        Parameter(f"thickness_{layer}", float(metres), None, Log(), "m")
+        Parameter(_thickness(layer), float(metres), None, unit="m", kind="thickness", layer=layer)
         for layer, metres in enumerate(thickness, start=1)
     ]
     return [*made, *rest]
@@ -67,15 +69,20 @@ def check_layers(transport: AbstractTransport) -> None:
 
 def water_of(values: Values, wavelength: np.ndarray) -> IOPs | Layers:
     """The water with `values`: one, or layers where they name thicknesses."""
-    if "thickness_1" in values:
+    if _thickness(1) in values:
         return layers_of(values, wavelength)
     return water_iops(values, wavelength)
 
 
 def interfaces(values: Values) -> Float[Array, " interface"]:
     """Depths of the interfaces, m, as the depth sensor tells them."""
-    count = sum(name.startswith("thickness_") for name in values)
-    return jnp.cumsum(jnp.stack([values[f"thickness_{i}"] for i in range(1, count + 1)]))
+    names = itertools.takewhile(values.__contains__, map(_thickness, itertools.count(1)))
+    return jnp.cumsum(jnp.stack([values[name] for name in names]))
+
+
+def _thickness(layer: int) -> str:
+    """Name of the thickness of a layer."""
+    return f"thickness_{layer}"
 
 
 def layers_of(values: Values, wavelength: np.ndarray) -> Layers:
@@ -90,16 +97,24 @@ def _layer(values: Values, layer: int, wavelength: np.ndarray) -> IOPs:
     return water_iops({**values, **{n: values[f"{n}_{layer}"] for n in _NAMES}}, wavelength)
 
 
-def layer_units(count: int) -> dict[str, tuple[str, str]]:
-    """Units and names of `layer_quantities` of so many layers."""
-    units = {"Kd": ("m-1", "diffuse attenuation coefficient, mean over the depths that were used")}
+def layer_units(count: int) -> dict[str, Description]:
+    """What `layer_quantities` of so many layers are."""
+    text = "diffuse attenuation coefficient, mean over the depths that were used"
+    units = {"Kd": Description("m-1", text, "Kd")}
     for i in range(1, count + 1):
-        units |= {
-            f"Kd_490_{i}": ("m-1", f"Kd at 490 nm, mean over layer {i}"),
-            f"c_550_{i}": ("m-1", f"beam attenuation coefficient at 550 nm of layer {i}"),
-            f"bb_550_{i}": ("m-1", f"backscattering coefficient at 550 nm of layer {i}"),
-            f"a_cdm_440_{i}": ("m-1", f"absorption by CDOM and detritus at 440 nm of layer {i}"),
+        of_layer = {
+            "Kd_490": Description("m-1", f"Kd at 490 nm, mean over layer {i}", "Kd"),
+            "c_550": Description(
+                "m-1", f"beam attenuation coefficient at 550 nm of layer {i}", "c"
+            ),
+            "bb_550": Description(
+                "m-1", f"backscattering coefficient at 550 nm of layer {i}", "bb"
+            ),
+            "a_cdm_440": Description(
+                "m-1", f"absorption by CDOM and detritus at 440 nm of layer {i}", "a_cdm"
+            ),
         }
+        units |= {f"{name}_{i}": description for name, description in of_layer.items()}
     return units
 
 

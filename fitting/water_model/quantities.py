@@ -8,19 +8,21 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from fitting.core.parameters import Parameters
-from fitting.core.result import Quantity, derived_quantity
+from fitting.core.result import Description, Quantity, derived_quantity
 from fitting.water_model.unknowns import water_iops
 from oceaninv import FlatSurface, IOPs, Light, Scene
 from oceaninv.transport.base import AbstractTransport
 from oceaninv.water.attenuation import kd_jerlov1976, kd_lee2005
 
 UNITS = {
-    "Kd": ("m-1", "diffuse attenuation coefficient, mean from the surface to 10 % light"),
-    "Kd_490": ("m-1", "Kd at 490 nm, mean from the surface to 10 % light"),
-    "c": ("m-1", "beam attenuation coefficient"),
-    "c_550": ("m-1", "beam attenuation coefficient at 550 nm"),
-    "bb_550": ("m-1", "backscattering coefficient at 550 nm"),
-    "a_cdm_440": ("m-1", "absorption by CDOM and detritus at 440 nm"),
+    "Kd": Description(
+        "m-1", "diffuse attenuation coefficient, mean from the surface to 10 % light", "Kd"
+    ),
+    "Kd_490": Description("m-1", "Kd at 490 nm, mean from the surface to 10 % light", "Kd"),
+    "c": Description("m-1", "beam attenuation coefficient", "c"),
+    "c_550": Description("m-1", "beam attenuation coefficient at 550 nm", "c"),
+    "bb_550": Description("m-1", "backscattering coefficient at 550 nm", "bb"),
+    "a_cdm_440": Description("m-1", "absorption by CDOM and detritus at 440 nm", "a_cdm"),
 }
 MARKS = np.array([440.0, 490.0, 550.0])
 

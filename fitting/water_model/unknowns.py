@@ -62,7 +62,10 @@ def absorption_shapes() -> tuple[Parameter, ...]:
     absorption by a third at equal chlorophyll (Bricaud et al. 1995, fig. 3), CDOM and detritus from
     exponentials by less; 0.3 holds either.
     """
-    return tuple(Parameter(f"shape_{nm}", 1.0, 0.3, nuisance=True) for nm in _SHAPE_KNOTS)
+    return tuple(
+        Parameter(f"shape_{nm}", 1.0, 0.3, nuisance=True, kind="shape", wavelength=float(nm))
+        for nm in _SHAPE_KNOTS
+    )
 
 
 def pigment_packaging() -> Parameter:
@@ -165,7 +168,7 @@ def water_iops(values: Mapping[str, Float[Array, ""]], wavelength: np.ndarray):
             CDOM(slope=get("cdom_slope", 0.0176)),
             Detritus(
                 slope=get("detritus_slope", 0.0123),
-                tie=get("detritus_scattering_ratio", 5.0),
+                scattering_ratio=get("detritus_scattering_ratio", 5.0),
                 exponent=get("detritus_exponent", 0.9),
                 phase=particle_phase(of_others * factor),
             ),

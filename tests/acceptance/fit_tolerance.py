@@ -106,11 +106,11 @@ def row(name: str, fit, data, exact) -> str:
         return " / ".join(f"{abs(lean.x[i] - x[i]) / sd[i]:.2f}" for i in asked)
 
     first = shifts(full.x, np.sqrt(np.diag(full.covariance)))
-    plan = lean.metadata["plan"]
+    plan = lean.plan
     return (
-        f"| {name} | {', '.join(plan['tried'])} | {100 * plan['predicted_error']:.2g} % | "
+        f"| {name} | {', '.join(plan.tried)} | {100 * plan.predicted_error:.2g} % | "
         f"{shifts(best, sd)} | {first} | {gain:.2g} | {cheap:.2g} | {dear:.2g} | "
-        f"{dear / cheap:.1f} | {plan['corrections']} | {100 * plan['error_left']:.1g} % |"
+        f"{dear / cheap:.1f} | {plan.corrections} | {100 * plan.remaining_error:.1g} % |"
     )
 
 

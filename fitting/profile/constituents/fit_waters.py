@@ -5,7 +5,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from fitting.core.least_squares import sentence
+from fitting.core.diagnostics import Status
 from fitting.core.parameters import Parameter, Parameters
 from fitting.core.result import Fit, Predictive
 from fitting.profile.constituents.batched_search import (
@@ -95,18 +95,18 @@ def unmodelled_notes(wavelength: np.ndarray, bands: np.ndarray) -> dict:
 def _fit(found: WaterFit, wavelength, predictive: Predictive, metadata: dict, dof=None) -> Fit:
     water = found.water
     cov = np.asarray(water.covariance)
-    quantities, leaning = quantities_of(water.values, water.slopes, found.parameters, cov)
+    quantities, sensitivity = quantities_of(water.values, water.slopes, found.parameters, cov)
     return Fit(
         found.parameters,
         np.asarray(water.x),
         cov,
         quantities,
         wavelength,
-        sentence(water.code),
+        Status(int(water.code)),
         predictive,
         metadata | {"transport": found.transport},
         dof,
-        sensitivity=leaning,
+        sensitivity=sensitivity,
     )
 
 

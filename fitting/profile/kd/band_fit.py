@@ -64,7 +64,7 @@ class BandFit(eqx.Module):
     - `dof`: how many independent samples the noise was estimated from, less the unknowns.
     - `length`: m over which the waves are correlated, mean over the candidates, 0 if they are not.
     - `used`: samples that were not outliers.
-    - `code`: index into `fitting.core.least_squares.RESULTS`.
+    - `code`: of `fitting.core.diagnostics.Status`.
     """
 
     x: Float[Array, "*band unknown"]

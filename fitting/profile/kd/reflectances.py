@@ -55,9 +55,10 @@ def _dof(window: FitWindow, fit: BandFit) -> np.ndarray | None:
     return None if window.profile.sigma is not None else np.asarray(fit.dof)
 
 
-def _surface(window: FitWindow, fit: BandFit, unit: str, text: str) -> Quantity:
+def _surface(window: FitWindow, fit: BandFit, unit: str, text: str, kind: str) -> Quantity:
     sd = np.sqrt(np.asarray(fit.covariance)[:, 0, 0])
-    return Quantity(np.exp(np.asarray(fit.x)[:, 0]), sd, unit, text, dof=_dof(window, fit))
+    value = np.exp(np.asarray(fit.x)[:, 0])
+    return Quantity(value, sd, unit, text, dof=_dof(window, fit), kind=kind)
 
 
 def cast_quantities(cast: Cast, fits: Mapping[str, BandFit]) -> dict[str, Quantity]:
@@ -68,11 +69,10 @@ def cast_quantities(cast: Cast, fits: Mapping[str, BandFit]) -> dict[str, Quanti
     of Ed and of upward light count as independent, calibrations as exact.
     """
     profile = cast.window.profile
+    text = "downward irradiance just below the surface"
     found = {
         "Kd": mean_attenuation(cast.window, fits["Ed"], "diffuse attenuation coefficient"),
-        "Ed_0": _surface(
-            cast.window, fits["Ed"], "W m-2 nm-1", "downward irradiance just below the surface"
-        ),
+        "Ed_0": _surface(cast.window, fits["Ed"], "W m-2 nm-1", text, "Ed"),
     }
     units = {"Eu": ("Ku", "W m-2 nm-1", "upward irradiance"),
              "Lu": ("KLu", "W m-2 nm-1 sr-1", "upward radiance")}  # fmt: skip
@@ -84,7 +84,7 @@ def cast_quantities(cast: Cast, fits: Mapping[str, BandFit]) -> dict[str, Quanti
             text = f"diffuse attenuation coefficient of {words}"
             found[name] = _placed(mean_attenuation(window, fit, text), to, good)
             text = f"{words} just below the surface"
-            found[f"{kind}_0"] = _placed(_surface(window, fit, unit, text), to, good)
+            found[f"{kind}_0"] = _placed(_surface(window, fit, unit, text, kind), to, good)
     if "Eu_0" in found:
         found["R"] = _ratio(found["Eu_0"], found["Ed_0"], "1", "irradiance reflectance at 0-")
     if "Lu_0" in found:

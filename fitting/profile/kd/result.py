@@ -4,7 +4,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from fitting.core.least_squares import sentence
+from fitting.core.diagnostics import Status
 from fitting.core.parameters import Parameter, Parameters
 from fitting.core.result import Fit, Predictive, Quantity
 from fitting.observations.profile import Profile
@@ -55,16 +55,20 @@ def _metadata(cast: Cast, bands: BandFit) -> dict:
 
 def _kd_parameters(wavelength: np.ndarray, x: np.ndarray) -> Parameters:
     """Ed0 of all bands, then Kd of all bands in the first layer, and so on downwards."""
-    count = x.shape[1] - 1
-    rows = [("Ed0_{:g}", "W m-2 nm-1", True)]
-    rows += [("Kd_{:g}" + (f"_{i + 1}" if count > 1 else ""), "m-1", False) for i in range(count)]
-    return Parameters(
-        [
-            Parameter(name.format(wl), float(np.exp(value)), unit=unit, nuisance=nuisance)
-            for (name, unit, nuisance), column in zip(rows, x.T, strict=True)
-            for wl, value in zip(wavelength, column, strict=True)
+    layers = range(1, x.shape[1])
+    parameters = [
+        Parameter(f"Ed0_{wl:g}", float(e), None, unit="W m-2 nm-1", nuisance=True, kind="Ed0",
+                  wavelength=float(wl))
+        for wl, e in zip(wavelength, np.exp(x[:, 0]), strict=True)
+    ]  # fmt: skip
+    for layer in layers:
+        ending = f"_{layer}" if len(layers) > 1 else ""
+        place = {"kind": "Kd", "layer": layer if ending else None}
+        parameters += [
+            Parameter(f"Kd_{wl:g}{ending}", float(k), unit="m-1", wavelength=float(wl), **place)
+            for wl, k in zip(wavelength, np.exp(x[:, layer]), strict=True)
         ]
-    )
+    return Parameters(parameters)
 
 
 def light_depths(cast: Cast, bands: BandFit) -> tuple[dict[str, Quantity], dict]:
@@ -95,7 +99,8 @@ def kd_fit(cast: Cast, fits: Mapping[str, BandFit]) -> Fit:
     metadata |= upward_notes(cast)
     metadata["interfaces_m"] = interfaces.tolist()
     metadata["bands_without_light_nm"] = profile.wavelength[~bright].tolist()
-    metadata["bands_not_converged_nm"] = profile.wavelength[bands.code != 0].tolist()
+    failed = bands.code != Status.CONVERGED
+    metadata["bands_not_converged_nm"] = profile.wavelength[failed].tolist()
     predictive = _predictive(profile, mask, bands, model)
     left = (predictive.observed - model) / predictive.sd
     left = np.where(_used(window, bands), left, np.nan)
@@ -110,7 +115,7 @@ def kd_fit(cast: Cast, fits: Mapping[str, BandFit]) -> Fit:
         full,
         quantities | depths,
         profile.wavelength,
-        sentence(bands.code[bright].max(initial=0)),
+        Status(int(bands.code[bright].max(initial=Status.CONVERGED))),
         predictive,
         metadata,
         dof,

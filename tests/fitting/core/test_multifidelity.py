@@ -10,6 +10,7 @@ import pytest
 
 import oceaninv as oi
 from fitting import fit_photo, fit_profile
+from fitting.core.diagnostics import Status
 from fitting.core.multifidelity import AccuracyTarget, multifidelity_fit
 from fitting.core.parameters import Parameter, Parameters
 from fitting.core.result import Fit, Predictive
@@ -32,7 +33,9 @@ def _stand_in(chlorophyll: float, transport) -> Fit:
     name = type(transport).__name__
     one = np.ones((1, 1))
     nothing = Predictive(one, one, one, ("depth", "wavelength"), "1")
-    return Fit(unknowns, x, np.eye(4), {}, WAVELENGTH, "", nothing, {"transport": name})
+    return Fit(
+        unknowns, x, np.eye(4), {}, WAVELENGTH, Status.CONVERGED, nothing, {"transport": name}
+    )
 
 
 def _scene(fit):
@@ -48,32 +51,32 @@ def test_the_plan_follows_the_water_that_is_found():
         return _stand_in(0.03 if start is None else 20.0, transport)
 
     fit, used = multifidelity_fit(0.01, None, solve, _scene, [TARGET])
-    plan = fit.metadata["plan"]
-    assert plan["tried"][0] == "TwoStream()"
-    assert len(plan["tried"]) > 1
-    assert planning.model_label(used) == plan["transport"] == plan["tried"][-1]
+    plan = fit.plan
+    assert plan.tried[0] == "TwoStream()"
+    assert len(plan.tried) > 1
+    assert planning.model_label(used) == plan.transport == plan.tried[-1]
     assert starts[:2] == [None, pytest.approx(0.03)]
-    assert plan["kept"]
-    assert plan["predicted_error"] <= 0.01
+    assert plan.within_tolerance
+    assert plan.predicted_error <= 0.01
     chosen, error = sufficient(_scene(fit), 0.01)
     labels = [planning.model_label(t) for t in planning.CANDIDATES["irradiance"]]
-    assert labels.index(plan["transport"]) >= labels.index(planning.model_label(chosen))
+    assert labels.index(plan.transport) >= labels.index(planning.model_label(chosen))
     assert error <= 0.01
 
 
 def test_a_tolerance_that_nothing_keeps_ends_with_the_best_rung_and_says_so():
     fit, _ = multifidelity_fit(1e-6, None, lambda t, _: _stand_in(20.0, t), _scene, [TARGET])
-    assert not fit.metadata["plan"]["kept"]
-    assert fit.metadata["plan"]["predicted_error"] > 1e-6
+    assert not fit.plan.within_tolerance
+    assert fit.plan.predicted_error > 1e-6
 
 
 @pytest.mark.slow
 def test_one_search_is_enough_where_the_cheapest_rung_is():
     fit = fit_photo(photo(clean()), tolerance=0.9)
-    plan = fit.metadata["plan"]
-    assert plan["tried"] == ["TwoStream()"]
-    assert plan["kept"]
-    assert plan["settled"]
+    plan = fit.plan
+    assert plan.tried == ("TwoStream()",)
+    assert plan.within_tolerance
+    assert plan.settled
     assert json.loads(fit.to_xarray().attrs["metadata"])["plan"]["tolerance"] == 0.9
 
 
@@ -116,7 +119,9 @@ def test_the_proximal_term_is_no_datum():
     )
     start = jnp.asarray(fitted().x) + 0.1
     still = dataclasses.replace(uncorrected(problem), about=start, noise_inflation=jnp.ones(()))
-    held = dataclasses.replace(still, proximal_weight=jnp.asarray(1e4), unit=0.1 * jnp.ones_like(start))
+    held = dataclasses.replace(
+        still, proximal_weight=jnp.asarray(1e4), unit=0.1 * jnp.ones_like(start)
+    )
     found = jax.jit(lambda c: search(dataclasses.replace(problem, correction=c), start))(held)
     np.testing.assert_allclose(found.x, start, atol=1e-4)
     size = problem.residual(start).shape[0]
@@ -134,13 +139,13 @@ def test_a_photo_fit_within_a_tolerance_is_that_of_the_exact_light(monkeypatch):
     ((seen, _),) = predict_all(parameters.layout(), readings, exact, sunlight, x)
     made = photo(np.asarray(seen))
     planned = fit_photo(made, tolerance=0.03)
-    plan = planned.metadata["plan"]
-    assert plan["tried"] == ["TwoStream()"]
-    assert 0.01 < plan["largest_correction"] < 0.5
-    assert plan["error_left"] <= 1e-3
-    assert plan["settled"]
-    assert plan["kept"]
-    assert plan["corrected_by"] == planning.model_label(exact)
+    plan = planned.plan
+    assert plan.tried == ("TwoStream()",)
+    assert 0.01 < plan.largest_correction < 0.5
+    assert plan.remaining_error <= 1e-3
+    assert plan.settled
+    assert plan.within_tolerance
+    assert plan.corrected_by == planning.model_label(exact)
     straight = fit_photo(made, transport=exact)
     for name in ("chlorophyll", "cdom", "detritus"):
         i = straight.parameters.names.index(name)
@@ -156,11 +161,11 @@ def test_the_planned_fit_is_that_of_the_exact_light(monkeypatch):
     monkeypatch.setattr("fitting.profile.fit_profile.EXACT", exact)
     profile = constituent_cast(np.array([440.0, 510.0, 580.0]), transport=exact)[1]
     planned = fit_profile(profile, tolerance=0.03)
-    plan = planned.metadata["plan"]
-    assert plan["kept"]
-    assert 0.001 < plan["largest_correction"] < 0.1
-    assert 1 <= plan["corrections"] <= 3
-    assert plan["corrected_by"] == planning.model_label(exact)
+    plan = planned.plan
+    assert plan.within_tolerance
+    assert 0.001 < plan.largest_correction < 0.1
+    assert 1 <= plan.corrections <= 3
+    assert plan.corrected_by == planning.model_label(exact)
     straight = fit_profile(profile, transport=exact)
     for name in ("chlorophyll", "cdom", "detritus"):
         i = straight.parameters.names.index(name)

@@ -8,11 +8,19 @@ import pytest
 from scipy.stats import norm, t
 
 from fitting import Fit, Identity, Logit, Parameter, Quantity
+from fitting.core.diagnostics import ModelChoice, Status
 from fitting.core.parameters import Parameters
-from fitting.core.result import Predictive, amount_bias, derived_quantity, half_width, quantile
+from fitting.core.result import (
+    Predictive,
+    amount_bias,
+    derived_quantity,
+    half_width,
+    quantile,
+    sensitivity_text,
+)
 
 
-def fit(parameters, x, sd, correlation=0.0, dof=None, result="converged"):
+def fit(parameters, x, sd, correlation=0.0, dof=None, ended=Status.CONVERGED):
     sd = np.asarray(sd, dtype=float)
     matrix = np.full((len(sd), len(sd)), correlation)
     np.fill_diagonal(matrix, 1.0)
@@ -23,7 +31,7 @@ def fit(parameters, x, sd, correlation=0.0, dof=None, result="converged"):
         matrix * np.outer(sd, sd),
         {},
         np.array([440.0]),
-        result,
+        ended,
         nothing,
         {"source": "here", "count": np.int64(3)},
         dof,
@@ -125,9 +133,99 @@ def test_correlation_follows_from_the_covariance():
     assert one.sd == {"a": pytest.approx(0.1), "b": pytest.approx(20.0)}
 
 
-def test_convergence_is_the_result_sentence():
-    assert fit([Parameter("a", 1.0)], [0.0], [0.1]).converged
-    assert not fit([Parameter("a", 1.0)], [0.0], [0.1], result="the step limit ...").converged
+def test_the_result_is_the_message_of_the_status():
+    one = fit([Parameter("a", 1.0)], [0.0], [0.1])
+    assert one.converged
+    assert one.result == "converged"
+    short = fit([Parameter("a", 1.0)], [0.0], [0.1], ended=Status.STEP_LIMIT)
+    assert not short.converged
+    assert short.result == Status.STEP_LIMIT.message
+    assert len({status.message for status in Status}) == len(Status) == 5
+    assert [Status(code).value for code in range(5)] == list(range(5))
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf])
+@pytest.mark.parametrize("where", ["value", "sd", "quantity", "its sd"])
+def test_a_number_that_is_not_finite_is_never_converged(where, bad):
+    numbers = dict.fromkeys(("value", "sd", "quantity", "its sd"), 0.1) | {where: bad}
+    quantity = Quantity(np.array(numbers["quantity"]), np.array(numbers["its sd"]), "1", "q")
+    one = fit([Parameter("a", 1.0)], [numbers["value"]], [numbers["sd"]])
+    one = dataclasses.replace(one, quantities={"q": quantity})
+    assert one.status is Status.NUMBERS_NOT_FINITE
+    assert not one.converged
+    assert "not finite" in one.result
+    # What was wrong with the search comes first.
+    assert dataclasses.replace(one, ended=Status.STEP_LIMIT).status is Status.STEP_LIMIT
+
+
+def test_bands_without_data_and_nuisances_may_lack_numbers():
+    parameters = [Parameter("a", 1.0), Parameter("b", 1.0, nuisance=True)]
+    one = fit(parameters, [0.0, np.nan], [0.1, np.nan])
+    spectrum = np.array([0.1, np.nan])
+    half = dataclasses.replace(one, quantities={"Rrs": Quantity(spectrum, spectrum, "sr-1", "R")})
+    assert half.converged
+    nowhere = Quantity(spectrum * np.nan, spectrum, "sr-1", "R")
+    none = dataclasses.replace(one, quantities={"Rrs": nowhere})
+    assert none.status is Status.NUMBERS_NOT_FINITE
+
+
+def test_an_interval_wider_than_its_prior_is_not_identifiable():
+    """sd of 0.75 of the prior's counts as narrow, but not with a second-order error as large."""
+    one = fit([Parameter("a", 1.0, 0.5)], [0.0], [0.375])
+    assert one.identifiable["a"]
+    half_width = np.hypot(1.959964 * 0.375, (1.959964**2 - 1) * 0.375 / np.sqrt(2))
+    assert half_width > 1.959964 * 0.5
+    wide = dataclasses.replace(one, second_order_sd=np.array([0.375]))
+    assert not wide.identifiable["a"]
+    # So is Student's t with few degrees of freedom: 4.30 standard deviations of 2.
+    assert not dataclasses.replace(one, dof=2.0).identifiable["a"]
+    assert dataclasses.replace(one, dof=2.0, covariance=np.array([[0.04]])).identifiable["a"]
+
+
+def test_numbers_are_scalar_quantities_and_what_was_asked_for():
+    parameters = [
+        Parameter("cdom", 0.1, 2.3, unit="m-1"),
+        Parameter("Kd_490", 0.1, unit="m-1", wavelength=490.0),
+        Parameter("tilt", 1.0, nuisance=True),
+    ]
+    quantities = {
+        "c": Quantity(np.ones(2), np.ones(2), "m-1", "c"),
+        "c_550": Quantity(np.array(0.3), np.array(0.6), "m-1", "c"),
+    }
+    one = fit(parameters, np.log([0.2, 0.3, 1.0]), [0.1, 0.6, 0.1])
+    one = dataclasses.replace(one, quantities=quantities)
+    found = one.numbers()
+    assert [number.name for number in found] == ["c_550", "cdom", "Kd_490"]
+    assert [number.identifiable for number in found] == [False, True, False]
+    assert [number.wavelength for number in found] == [None, None, 490.0]
+    cdom = found[1]
+    assert (cdom.value, cdom.unit) == (pytest.approx(0.2), "m-1")
+    assert (cdom.low, cdom.high) == one.interval("cdom")
+    assert (cdom.value_text, cdom.interval_text) == ("0.2", "0.164 - 0.243")
+    assert (found[0].low, found[0].high) == quantities["c_550"].interval()
+    assert found[0].value_text == "not identifiable"
+    assert [number.name for number in one.parameter_numbers()] == ["cdom", "Kd_490", "tilt"]
+
+
+def test_sensitivities_are_the_largest_in_per_cent():
+    shifts = {"a": 0.02, "b": -0.31, "c": 0.1}
+    assert sensitivity_text(shifts, 2) == "b -31 %, c +10 %"
+
+
+def test_facts_are_metadata_and_how_the_fit_was_found():
+    plan = ModelChoice("TwoStream()", ("TwoStream()",), 0.03, 0.05)
+    assert not plan.within_tolerance
+    plan = dataclasses.replace(plan, corrections=2, remaining_error=0.01)
+    assert plan.within_tolerance
+    one = fit([Parameter("a", 1.0)], [0.0], [0.1])
+    assert one.facts == one.metadata
+    one = dataclasses.replace(one, plan=plan, noise_factor=1.5)
+    facts = json.loads(one.metadata_json())
+    assert facts["source"] == "here"
+    assert facts["noise_factor"] == 1.5
+    assert facts["plan"]["tolerance"] == 0.03
+    assert facts["plan"]["within_tolerance"] is True
+    assert "settled" not in facts["plan"]
 
 
 def test_metadata_is_one_line_of_json():

@@ -10,6 +10,7 @@ import pytest
 from scipy.stats import chi2, kstest, norm
 
 from fitting import NUTS, Fit, Parameter, joint_region, sample
+from fitting.core.diagnostics import Status
 from fitting.core.least_squares import covariance, least_squares
 from fitting.core.likelihood_regions import LikelihoodRegion
 from fitting.core.parameters import Parameters
@@ -42,7 +43,7 @@ def fit(bend):
     product = Quantity(np.array(1.0), np.array(1.0), "1", "a times b")
     covariance = AXES @ AXES.T
     return Fit(LAYOUT, np.zeros(2), covariance, {"product": product}, np.array([500.0]),
-               "converged", nothing, {}, problem=problem)  # fmt: skip
+               Status.CONVERGED, nothing, {}, problem=problem)  # fmt: skip
 
 
 @pytest.fixture(scope="module")
@@ -57,7 +58,7 @@ def test_draws_are_those_of_the_target(bend, draws):
     x = draws[bend].samples
     straight = np.stack([x[:, 0], x[:, 1] + bend * (x[:, 0] ** 2 - 1.0)])
     white = np.linalg.inv(AXES) @ straight
-    effective = draws[bend].metadata["sampling"]["effective_draws"]
+    effective = draws[bend].sampling.effective_draws
     assert effective > 300
     for row in white:
         assert abs(row.mean()) < 4 / np.sqrt(effective)
@@ -65,7 +66,7 @@ def test_draws_are_those_of_the_target(bend, draws):
         # Thinned to nearly independent draws.
         assert kstest(row[:: int(np.ceil(len(row) / effective)) * 2], norm.cdf).pvalue > 1e-3
     assert draws[bend].converged
-    assert draws[bend].metadata["sampling"]["largest_split_rhat"] < 1.05
+    assert draws[bend].sampling.largest_split_rhat < 1.05
 
 
 def test_intervals_and_regions_are_those_of_the_draws(draws):

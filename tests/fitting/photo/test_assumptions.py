@@ -8,6 +8,7 @@ import pytest
 
 import oceaninv as oi
 from fitting import Background, Chart, Photo, assumptions, fit_photo
+from fitting.core.diagnostics import Status
 from fitting.core.parameters import Parameters
 from fitting.core.result import Fit, Predictive
 from fitting.observations.photo import WAVELENGTH
@@ -125,6 +126,8 @@ def test_answers_err_as_the_row_of_what_does_not_hold_says():
 
 def test_only_photographs_have_these_assumptions():
     found = Predictive(np.ones(1), np.ones(1), np.ones(1), ("reading",), "1")
-    fit = Fit(Parameters([]), np.zeros(0), np.zeros((0, 0)), {}, WAVELENGTH, "converged", found, {})
+    fit = Fit(
+        Parameters([]), np.zeros(0), np.zeros((0, 0)), {}, WAVELENGTH, Status.CONVERGED, found, {}
+    )
     with pytest.raises(ValueError, match="of a fit of photographs"):
         assumptions(fit)

@@ -198,11 +198,11 @@ def test_a_photograph_does_not_claim_what_it_cannot_see():
 def test_readings_that_scatter_more_than_stated_widen_the_intervals():
     values = clean() * (1 + 0.04 * np.random.default_rng(0).standard_normal((9, 3)))
     fit = fit_photo(photo(values))
-    factor = fit.metadata["noise_factor"]
+    factor = fit.noise_factor
     assert 2.5 < factor < 5.5
     assert fit.metadata["reduced_chi2"] > 4.0
     told = fit_photo(photo(values, sigma=0.01 * factor))
-    assert told.metadata["noise_factor"] == fitted().metadata["noise_factor"] == 1.0
+    assert told.noise_factor == fitted().noise_factor == 1.0
     for name in ("c_550", "Kd_490", "a_cdm_440"):
         ours, theirs = fit.quantities[name], told.quantities[name]
         assert abs(np.log(theirs.value / ours.value)) < 3e-3 * ours.sd
@@ -379,8 +379,8 @@ def test_a_batch_is_its_fits():
     both = fit_photos(frames)
     for frame, one in zip(frames, both, strict=True):
         alone = fit_photo(frame)
-        factor = alone.metadata["noise_factor"]
-        assert one.metadata["noise_factor"] == pytest.approx(factor, rel=1e-2)
+        factor = alone.noise_factor
+        assert one.noise_factor == pytest.approx(factor, rel=1e-2)
         assert (factor > 2.0) is (frame is frames[1])
         assert np.max(np.abs(one.x - alone.x) / np.sqrt(np.diag(alone.covariance))) < 0.01
     with pytest.raises(ValueError, match="photograph 1 differs"):

@@ -178,10 +178,10 @@ def test_a_casts_posterior_can_be_drawn_from():
     known = {n: Parameter(n, v, 0.1) for n, v in (("cdom", 0.1), ("detritus", 0.05))}
     fit = fit_profile(cast, transport=oi.TwoStream(), depth_range=(0.0, 15.0), priors=known)
     drawn = sample(fit, key=jax.random.key(1), sampler=NUTS(draws=400, warm=100, chains=4))
-    assert drawn.metadata["sampling"]["largest_split_rhat"] < 1.2
+    assert drawn.sampling.largest_split_rhat < 1.2
     # Kd is well known: the ellipsoid is right about it, and the draws must agree.
     kd, by_draws = fit.quantities["Kd_490"], drawn.quantities["Kd_490"]
-    effective = drawn.metadata["sampling"]["effective_draws"]
+    effective = drawn.sampling.effective_draws
     assert effective > 20
     off = float(np.log(by_draws.value / kd.value)) / float(kd.sd)
     assert abs(off) < 4 / np.sqrt(effective)
