@@ -139,8 +139,21 @@ def read_chart(
 def agreements(
     photograph: Photograph, places: Sequence[np.ndarray], chart: Target, window: float = 0.5
 ) -> list[float]:
-    """Rank correlation with the chart's known values of what is read at each set of corners."""
-    return [_agreement(_read(photograph, c, chart, window)[0], chart) for c in places]
+    """How well what is read at each set of corners follows the chart's known values.
+
+    Mean over the channels of the rank correlation with what an average camera sees in white light.
+    """
+    from scipy.stats import rankdata
+
+    weights = np.asarray(oi.spectrum.generic_camera().weights(WAVELENGTH))
+    expected = rankdata(chart.reflectance @ weights.T, axis=0).T
+    found = []
+    for corners in places:
+        ranks = rankdata(_read(photograph, corners, chart, window)[0], axis=0).T
+        pairs = zip(ranks, expected, strict=True)
+        each = [np.corrcoef(a, b)[0, 1] if np.ptp(a) > 0 else 0.0 for a, b in pairs]
+        found.append(float(np.mean(each)))
+    return found
 
 
 def perspective(corners: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
@@ -179,16 +192,6 @@ def _read(photograph: Photograph, corners: np.ndarray, chart: Target, window: fl
         sd.append(np.hypot(own, photograph.step))
         pixels.append(len(seen))
     return np.stack(values), np.stack(sd), np.array(spoiled), np.array(pixels), outline
-
-
-def _agreement(values: np.ndarray, chart: Target) -> float:
-    """Mean over channels of the rank correlation of values and what an average camera expects."""
-    from scipy.stats import rankdata
-
-    weights = np.asarray(oi.spectrum.generic_camera().weights(WAVELENGTH))
-    expected = chart.reflectance @ weights.T
-    pairs = zip(rankdata(values, axis=0).T, rankdata(expected, axis=0).T, strict=True)
-    return float(np.mean([np.corrcoef(a, b)[0, 1] if np.ptp(a) > 0 else 0.0 for a, b in pairs]))
 
 
 def _clipped(values: np.ndarray, spoiled: np.ndarray, chart: Target) -> np.ndarray:

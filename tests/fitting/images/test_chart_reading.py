@@ -9,6 +9,7 @@ from matplotlib.path import Path as Outline
 import fitting.commands.main as cli
 import oceaninv as oi
 from fitting import Photograph, read_photograph
+from fitting.images.chart_detection import find_charts
 from fitting.images.chart_reading import overlay, perspective, read_chart
 from fitting.images.chart_targets import target
 from fitting.images.photo_csv import read_photo
@@ -149,11 +150,66 @@ def test_the_command_writes_what_the_fit_reads(tmp_path, capsys):
         assert not (tmp_path / "bad.csv").exists()
 
 
+def on_the_ground(turned, size=(334, 500), light=(0.20, 0.55, 0.45), ground=0.3, seed=0):
+    """A linear picture without white balance: a chart with borders lies on rough ground in uneven
+    light, beside glaring things.
+
+    Returns the photograph and the corners of the patches.
+    """
+    chart = target("ColorChecker24")
+    weights = np.asarray(oi.spectrum.generic_camera().weights(WAVELENGTH))
+    values = chart.reflectance @ (weights / weights.sum(axis=1)[:, None]).T
+    rng = np.random.default_rng(seed)
+    rows, columns = size
+    y, x = np.mgrid[:rows, :columns]
+    rough = 0.06 * np.repeat(np.repeat(rng.standard_normal((rows // 2, columns // 2)), 2, 0), 2, 1)
+    picture = np.repeat((ground + rough)[:, :, None], 3, axis=2)
+    angle = np.deg2rad(turned)
+    turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
+    across = 0.5 * columns * np.array([[-0.5, -0.34], [0.5, -0.36], [0.54, 0.34], [-0.52, 0.36]])
+    corners = across @ turn + [0.5 * columns, 0.47 * rows]
+    points = np.stack([x.ravel(), y.ravel()], axis=1)
+    square = np.array([[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]])
+    placed = perspective(corners)
+    board = Outline(placed(0.5 + 1.12 * square)).contains_points(points).reshape(rows, columns)
+    picture[board] = 0.035
+    for value, centre, extent in zip(values, chart.centre, chart.size, strict=True):
+        outline = placed(centre + 0.86 * square * extent)
+        picture[Outline(outline).contains_points(points).reshape(rows, columns)] = value
+    for column, row in ((30, 40), (columns - 30, rows - 50), (45, rows - 40)):
+        picture[(x - column) ** 2 + (y - row) ** 2 < 200] = 2.0
+    picture = np.clip(picture, 0.003, None) * np.array(light)
+    picture = picture * (1.0 + 0.2 * (x / columns - 0.5))[:, :, None]
+    picture += 0.002 * rng.standard_normal(picture.shape)
+    return Photograph(picture, picture > 0, 0.0, 0.0, {}, "made"), corners
+
+
+@pytest.mark.parametrize(
+    ("turned", "light"),
+    [(0.0, (0.20, 0.55, 0.45)), (12.0, (0.1, 0.4, 0.5)), (187.0, (0.20, 0.55, 0.45))],
+)
+def test_a_chart_is_found_in_a_linear_picture_without_white_balance(turned, light):
+    photo, corners = on_the_ground(turned, light=light)
+    (found,) = find_charts(photo)
+    assert np.abs(found - corners).max() < 5.0  # a patch is 40 pixels wide
+    reading = read_chart(photo, found, "ColorChecker24")
+    truth = read_chart(photo, corners, "ColorChecker24")
+    assert reading.kept.all()
+    np.testing.assert_allclose(reading.values, truth.values, rtol=0.05)
+
+
+def test_two_charts_are_found_the_larger_first():
+    photos = [on_the_ground(0.0, seed=1)[0], on_the_ground(5.0, (250, 376), seed=2)[0]]
+    picture = np.full((334, 876, 3), 0.02)
+    picture[:, :500], picture[:250, 500:] = photos[0].values, photos[1].values
+    found = find_charts(Photograph(picture, picture > 0, 0.0, 0.0, {}, "made"))
+    assert len(found) == 2
+    assert found[0].mean(axis=0)[0] < 500 < found[1].mean(axis=0)[0]
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("turn", [0, 1, 2])
 def test_a_chart_is_found_in_any_orientation(turn, tmp_path, capsys):
-    from fitting.images.chart_detection import find_charts
-
     chart = target("ColorChecker24")
     weights = np.asarray(oi.spectrum.generic_camera().weights(WAVELENGTH))
     values = chart.reflectance @ (weights / weights.sum(axis=1)[:, None]).T

@@ -7,7 +7,6 @@ import struct
 import numpy as np
 import OpenImageIO as oiio
 import pytest
-import tifffile
 
 from fitting import read_photograph, read_range
 from fitting.commands import main as cli
