@@ -15,8 +15,8 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 from oceaninv.mie._recurrences import (
-    Lanes,
     Pair,
+    SphereBatch,
     Term,
     add,
     conjugate,
@@ -32,7 +32,8 @@ from oceaninv.mie._series_sums import in_groups
 
 
 class AngleSums(NamedTuple):
-    """S1 and S2 (angle, lane) over |x| and the power sum over |x|^2, a_n scaled by e^(-2 Im x)."""
+    """S1 and S2 (angle, sphere) over |x| and the power sum over |x|^2; a_n scaled by
+    e^(-2 Im x)."""
 
     s1: Array
     s2: Array
@@ -40,7 +41,7 @@ class AngleSums(NamedTuple):
 
 
 class _Partial(NamedTuple):
-    """y_{n+1}, d_{n+1}, and c_{n+1} times the coefficient that goes with tau."""
+    """y_{n+1}, d_{n+1}, and c_{n+1} times the coefficient of tau."""
 
     y: Pair
     d: Pair
@@ -100,16 +101,16 @@ def _consume(term: Term, state: Any, angle: _Angle) -> Any:
     return first, second, slopes, total
 
 
-def _run(group: Lanes, scratch: Pair, cosine: Array, slopes: bool):
-    lane = zeros_like(group.x).re
+def _run(group: SphereBatch, scratch: Pair, cosine: Array, slopes: bool):
+    zero = zeros_like(group.x).re
     nothing = Pair(jnp.zeros_like(cosine), jnp.zeros_like(cosine))
-    empty = _Partial(nothing, nothing, Pair(lane, lane))
+    empty = _Partial(nothing, nothing, Pair(zero, zero))
     count = 3 if slopes else 1
     start = (
         [empty] * count,
         [empty] * count,
         (empty, empty) if slopes else None,
-        [Pair(lane, None)] + [Pair(lane, lane)] * (count - 1),
+        [Pair(zero, None)] + [Pair(zero, zero)] * (count - 1),
     )
     sign = jnp.where(cosine < 0, -1.0, 1.0).astype(cosine.dtype)
     angle = _Angle(cosine, sign, sign - cosine)
@@ -149,7 +150,7 @@ def _angles(x: Array, m: Array, cosine: Array, rows: int, slopes: bool):
 
 @functools.partial(jax.custom_jvp, nondiff_argnums=(3,))
 def angle_sums(x: Array, m: Array, cosine: Array, rows: int) -> AngleSums:
-    """Amplitudes of flat x and m, shape (lane,), at cosine, shape (angle, lane)."""
+    """Amplitudes of flat x and m, shape (sphere,), at cosine, shape (angle, sphere)."""
     (s1,), (s2,), (power,) = _angles(x, m, cosine, rows, False)
     return AngleSums(s1, s2, power)
 

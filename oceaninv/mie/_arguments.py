@@ -18,14 +18,14 @@ class AbsorbingHostWarning(UserWarning):
 
 
 class Batch(NamedTuple):
-    """Arguments of one precision, each of shape (lane,), and the way back to the caller's shape."""
+    """Arguments of one precision, each of shape (sphere,), and the caller's shape."""
 
     arrays: tuple[Array | np.ndarray, ...]
     shape: tuple[int, ...]
     rows: int  # static scratch space of the series
 
     def restore(self, values: Array) -> Array:
-        """(..., lane) -> (..., *shape)"""
+        """(..., sphere) -> (..., *shape)"""
         values = values[..., : math.prod(self.shape)]
         return values.reshape(values.shape[:-1] + self.shape)
 
@@ -83,7 +83,7 @@ def scratch_rows(largest: float | None, max_size: float | None) -> int:
                 "(jit, grad or vmap): scratch space must have a fixed size."
             )
         max_size = largest
-    # Rounding in either number is no reason to refuse: the scratch space has room for it.
+    # Rounding in either number is allowed for: the scratch space is a little larger than needed.
     if not (largest or 0.0) * (1 - 1e-6) <= max_size < 1e8:
         raise ValueError(
             f"max_size must be at least the largest size parameter, {largest or 0.0:g}, and below "
@@ -93,10 +93,10 @@ def scratch_rows(largest: float | None, max_size: float | None) -> int:
 
 
 def batch(arguments: tuple, idle: tuple, shape: tuple[int, ...], dtype, rows: int) -> Batch:
-    """Cast, broadcast and flatten; concrete batches are padded to a power of 4 with `idle` lanes.
+    """Cast, broadcast and flatten; `idle` spheres pad concrete batches to a power of 4.
 
     Padding keeps the number of compiled programs small: one serves all batches of up to 16
-    particles, one of up to 64, and so on.  Idle lanes are tiny particles, hence nearly free.
+    particles, one of up to 64, and so on.  Idle spheres are tiny and cost almost nothing.
     """
     ctype = np.result_type(dtype, np.complex64)
     count = math.prod(shape)
@@ -135,7 +135,7 @@ def _check_alpha(largest: float, dtype) -> None:
 
 
 def sphere_batch(radius, wavelength, particle_index, host_index, max_size) -> Batch:
-    """Check what the functions of radius and wavelength take, and bring it into a batch."""
+    """Check the arguments of functions of radius and wavelength, and arrange them as a batch."""
     shape = common_shape(
         radius=radius,
         wavelength=wavelength,

@@ -21,7 +21,7 @@ and a_n = N/(N + iC), or N/(iC) where u is -i zeta.  Particles with x < 1 carry 
 kappa = |x|^3 that keeps single precision from underflow: everything delivered is a_n/kappa.
 
 Complex numbers are kept as (real, imaginary) pairs, the imaginary part None where it is absent:
-the same text is then the real program and the complex one.
+the same code then serves real and complex arguments.
 """
 
 from collections.abc import Callable
@@ -115,22 +115,22 @@ def zeros_like(u: Pair) -> Pair:
 
 
 class Term(NamedTuple):
-    """What a consumer receives for each order, from the highest down to 1."""
+    """The input of a consumer for each order, from the highest down to 1."""
 
     n: Array  # the order, as a float
     a: Pair
     b: Pair
-    # Logarithmic derivatives of (a, b), empty when not asked for: along ln x at fixed m, without
+    # Logarithmic derivatives of (a, b), empty unless requested: along ln x at fixed m, without
     # its factor x (m^2 - 1), and along ln m at fixed x, without its factor m.
     slopes: tuple[tuple[Pair, Pair], ...]
 
 
-class Lanes(NamedTuple):
-    """A group of particles and the constants of their sweep."""
+class SphereBatch(NamedTuple):
+    """A batch of spheres and the constants of their sweep."""
 
     x: Pair
     m: Pair
-    terms: Array  # number of orders of each lane
+    terms: Array  # number of orders of each sphere
     start: Array  # order at which psi(y) may be started from zero
     wronskian: Array  # kappa, or 1 where u is -i zeta
     own: Array  # weight of N in the denominator: kappa, or 0 where u is -i zeta
@@ -144,12 +144,12 @@ def series_length(size: Array) -> Array:
     return jnp.ceil(size + 6.5 * cube + 8.0).astype(jnp.int32)
 
 
-def lanes(x: Pair, m: Pair) -> Lanes:
+def sphere_batch(x: Pair, m: Pair) -> SphereBatch:
     size = jnp.sqrt(modulus2(x))
     inner = jnp.sqrt(modulus2(multiply(m, x)))
     kappa = jnp.minimum(size, 1.0) ** 3
     steep = jnp.zeros_like(size, bool) if x.im is None else x.im > _CROSSOVER
-    return Lanes(
+    return SphereBatch(
         x,
         m,
         series_length(size),
@@ -159,7 +159,7 @@ def lanes(x: Pair, m: Pair) -> Lanes:
     )
 
 
-def _seeds(group: Lanes) -> tuple[Pair, Pair]:
+def _seeds(group: SphereBatch) -> tuple[Pair, Pair]:
     """u_0 and u_1: kappa chi_n, or -i zeta_n e^(Im x)."""
     x = group.x
     cosine, sine = jnp.cos(x.re), jnp.sin(x.re)
@@ -193,15 +193,15 @@ def _read(rows: Pair, n: Array) -> Pair:
     return Pair(get(rows.re), None if rows.im is None else get(rows.im))
 
 
-def _upward(group: Lanes, inverse_x: Pair, orders: Array, rows: Pair) -> tuple[Pair, Pair]:
-    """Fill rows[n] with u_n for 1 <= n <= orders; return them and u_(terms+1) of every lane."""
+def _upward(group: SphereBatch, inverse_x: Pair, orders: Array, rows: Pair) -> tuple[Pair, Pair]:
+    """Fill rows[n] with u_n for 1 <= n <= orders; return them and u_(terms+1) of every sphere."""
 
     def step(i, carry):
         rows, below, here = carry
         n = i + 1
         factor = (2 * n + 1).astype(here.re.dtype)
         above = subtract(multiply(scale(factor, inverse_x), here), below)
-        # Lanes that have all their orders rest, so that they cannot overflow.
+        # Spheres that have all their orders stay as they are, so that they cannot overflow.
         return _write(rows, here, n), here, select(n <= group.terms, above, here)
 
     rows, _, top = jax.lax.fori_loop(0, orders, step, (rows, *_seeds(group)))
@@ -214,7 +214,7 @@ def _step_inner(n: Array, inverse_y: Pair, rho: Pair) -> Pair:
 
 
 def _coefficient(numerator: Pair, second: Pair, own: Array, active: Array) -> tuple[Pair, Pair]:
-    """N/D and 1/D with D = own N + iC; both 0 in lanes that do not have this order."""
+    """N/D and 1/D with D = own N + iC; both 0 for spheres that do not have this order."""
     denominator = add(scale(own, numerator), times_i(second))
     inverse = scale(jnp.where(active, 1.0 / modulus2(denominator), 0.0), conjugate(denominator))
     return multiply(numerator, inverse), inverse
@@ -235,7 +235,7 @@ def _slopes(n, group, y, inverses, rho, inverse_a, inverse_b) -> tuple[tuple[Pai
 
 
 def sweep(
-    group: Lanes,
+    group: SphereBatch,
     rows: Pair,
     consume: Callable[[Term, Any], Any],
     state: Any,

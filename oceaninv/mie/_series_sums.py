@@ -1,7 +1,7 @@
 """Sums over the Lorenz-Mie series for many particles at once, with their derivatives.
 
-Particles are sorted by size and swept in groups whose loops run only as far as their own largest
-member: one compiled program serves every size, and small particles do not pay for large ones.
+Particles are sorted by size and swept in groups, whose loops end at the series length of their
+largest member: one compiled program serves every size, and small particles cost little.
 """
 
 import functools
@@ -13,23 +13,23 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 from oceaninv.mie._recurrences import (
-    Lanes,
     Pair,
+    SphereBatch,
     Term,
     add,
     conjugate,
     dot,
     joined,
-    lanes,
     modulus2,
     multiply,
     pair,
     scale,
+    sphere_batch,
     sweep,
     zeros_like,
 )
 
-_GROUP = 256  # particles per group; more amortises loop overhead, fewer wastes less
+_GROUP = 256  # particles per group: larger groups amortise loop overhead, smaller waste less
 _BUFFERS = (2560, 11264)  # rows of scratch space; then by factors of 4
 
 
@@ -51,33 +51,35 @@ def buffer_rows(max_size: float) -> int:
 
 
 def largest_size(rows: int) -> float:
-    """A size parameter whose series is sure to fit into `rows`."""
+    """A size parameter whose series certainly fits into `rows`."""
     return rows - 12 - 6.5 * rows ** (1 / 3)
 
 
-def _group_lanes(count: int, width: int) -> tuple[int, int]:
-    """(groups, lanes per group), at most `width`, for `count` particles."""
+def _group_sizes(count: int, width: int) -> tuple[int, int]:
+    """(groups, particles per group), the latter at most `width`, for `count` particles."""
     width = min(width, max(8, -(-count // 16)))
     groups = -(-count // width)
     return groups, -(-count // groups)
 
 
-def in_groups(run, x: Array, m: Array, rows: int, lane_data: Any = (), width: int = _GROUP) -> Any:
-    """Apply run(group, scratch, lane_data) -> (out, scratch) to sorted groups of a flat batch.
+def in_groups(
+    run, x: Array, m: Array, rows: int, sphere_data: Any = (), width: int = _GROUP
+) -> Any:
+    """Apply run(group, scratch, sphere_data) -> (out, scratch) to sorted groups of a flat batch.
 
-    x and m have shape (lane,); lane_data is a pytree of arrays whose last axis is the lane; the
-    result has the lane axis last too, in the original order.
+    x and m have shape (sphere,); sphere_data is a pytree of arrays whose last axis is the sphere;
+    the last axis of the result is the sphere, too, in the original order.
     """
     count = x.shape[0]
-    groups, width = _group_lanes(count, min(width, _GROUP))
+    groups, width = _group_sizes(count, min(width, _GROUP))
     order = jnp.argsort(jnp.abs(x))
     # Repeat the largest particle to fill the last group.
     slots = order[jnp.minimum(jnp.arange(groups * width), count - 1)]
     original = jnp.zeros(count, slots.dtype).at[slots[:count]].set(jnp.arange(count))
 
     def split(values):
-        taken = jnp.take(values, slots, axis=-1)
-        grouped = taken.reshape(*values.shape[:-1], groups, width)
+        picked = jnp.take(values, slots, axis=-1)
+        grouped = picked.reshape(*values.shape[:-1], groups, width)
         return jnp.moveaxis(grouped, -2, 0)
 
     dtype = jnp.real(x).dtype
@@ -86,10 +88,10 @@ def in_groups(run, x: Array, m: Array, rows: int, lane_data: Any = (), width: in
 
     def one_group(scratch, inputs):
         group_x, group_m, data = inputs
-        out, scratch = run(lanes(pair(group_x), pair(group_m)), scratch, data)
+        out, scratch = run(sphere_batch(pair(group_x), pair(group_m)), scratch, data)
         return scratch, out
 
-    inputs = (split(x), split(m), jax.tree.map(split, lane_data))
+    inputs = (split(x), split(m), jax.tree.map(split, sphere_data))
     _, outs = jax.lax.scan(one_group, scratch, inputs)
 
     def merge(values):
@@ -144,7 +146,7 @@ def _accumulate(term: Term, state: _Accumulator) -> _Accumulator:
     )
 
 
-def _run_totals(group: Lanes, scratch: Pair, _: Any, slopes: bool):
+def _run_totals(group: SphereBatch, scratch: Pair, _: Any, slopes: bool):
     zero = zeros_like(group.x).re
     complex_zero, real_zero = Pair(zero, zero), Pair(zero, None)
     directions = 2 if slopes else 0
@@ -156,7 +158,7 @@ def _run_totals(group: Lanes, scratch: Pair, _: Any, slopes: bool):
         [real_zero] + [complex_zero] * directions,
     )
     end, scratch = sweep(group, scratch, _accumulate, start, slopes)
-    # Undo kappa, divide by |x|^2, and bring every lane to the scale e^(-2 Im x).
+    # Undo kappa, divide by |x|^2, and bring every sphere to the scale e^(-2 Im x).
     size2 = modulus2(group.x)
     damping = group.wronskian
     if group.x.im is not None:
@@ -192,9 +194,9 @@ def _totals(x: Array, m: Array, rows: int, slopes: bool):
 def series_sums(x: Array, m: Array, rows: int) -> Sums:
     """Sums over the series for flat x = k r (real or complex) and m (real or complex).
 
-    Every derivative comes out of the same sweep in closed form (after Grainger et al., 2004,
-    Appl. Opt. 43:5386): a_n and b_n are holomorphic in ln x and ln m, so two complex slopes
-    hold all five real ones.  Nothing is stored, so forward and reverse mode cost the same.
+    The same sweep gives every derivative in closed form (after Grainger et al., 2004, Appl. Opt.
+    43:5386): a_n and b_n are holomorphic in ln x and ln m, so that two complex slopes contain all
+    five real ones.  Nothing is stored, so that forward and reverse mode cost the same.
     """
     (amplitude,), (power,), (cosine,) = _totals(x, m, rows, False)
     return Sums(amplitude, power, cosine)

@@ -66,7 +66,7 @@ def _index(substance: str, wavelength: np.ndarray) -> np.ndarray:
 class Medium(eqx.Module):
     """Inclusions in a host.
 
-    `radii` is the accuracy dial of every population (see `particles.Population`).
+    `radii` sets the accuracy of every population (see `particles.Population`).
     """
 
     host: str = eqx.field(static=True)
@@ -98,7 +98,7 @@ class Medium(eqx.Module):
 
         The phase function of each inclusion is computed at `shapes` wavelengths spread evenly over
         the grid, and every other wavelength mixes its two neighbours; weights are never negative
-        and every shape is fixed, as transports want it.  More shapes cost more and mix better:
+        and every shape is fixed, as transports require.  More shapes cost more and mix better:
         over 400-700 nm the North Sea's bb/b is within 3 % with 2 shapes and 1 % with 3, its phase
         function within 2 % on average (`tests/test_media.py`).  `fit` replaces each shape by a
         simpler function, for example `fit_lobes`: three Henyey-Greenstein lobes of the same mean

@@ -85,7 +85,7 @@ class Bulk(NamedTuple):
     a: Float[Array, " wl"]  # 1/m
     b: Float[Array, " wl"]  # 1/m
     g: Float[Array, " wl"]
-    index_shift: Float[Array, " wl"]  # what is added to the real index of the host (eq 33)
+    index_shift: Float[Array, " wl"]  # change of the real index of the host (eq 33)
     a_error: Float[Array, " wl"]  # 1/m
     b_error: Float[Array, " wl"]  # 1/m
 
@@ -98,7 +98,7 @@ class Bulk(NamedTuple):
 class Population(eqx.Module):
     """Spheres of one substance: its index, sizes, and the share of the volume they fill.
 
-    `radii` is the accuracy dial (trapezoid in ln r).  A power law over four decades, in 1/m:
+    `radii` sets the accuracy (trapezoid in ln r).  A power law over four decades, in 1/m:
     25-50 radii give 1 %, 200 give 0.1 % (400 for absorption), 3200 give 0.01 %.
     """
 

@@ -63,7 +63,7 @@ class _Spheres(NamedTuple):
 def _spheres(size: Array, direction: Array, m: Array, rows: int) -> _Spheres:
     """Spheres of size parameter size * direction, |direction| = 1."""
     smallest = _SMALLEST[size.dtype.name]
-    # A lane outside the domain becomes NaN, and does not lengthen the loops of the others.
+    # A sphere outside the domain becomes NaN and does not lengthen the loops of the others.
     bad = ~((size >= 0) & (size <= _series_sums.largest_size(rows)) & jnp.isfinite(m))
     near_zero = size < smallest
     tiny = jnp.where(near_zero, size / smallest, 1.0)
@@ -285,7 +285,7 @@ def _phase(arrays, cosine, rows):
 
 
 def _angle_batch(cos_theta, spheres: tuple, max_size):
-    """The batch of spheres, cosines of shape (angle, lane), and the way back to the full shape.
+    """The batch of spheres, cosines of shape (angle, sphere), and how to restore the full shape.
 
     Axes along which only the angle varies become "angle", so that each sphere is summed once.
     """
