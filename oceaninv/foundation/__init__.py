@@ -1,1 +1,1 @@
-"""What every other package stands on: numerics, published tables, spectra, the interface, files."""
+"""The basis of all other packages: numerics, published tables, spectra, the interface, files."""

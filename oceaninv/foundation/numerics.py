@@ -12,7 +12,7 @@ _NEAR = 0.25
 
 
 def _terms(dtype) -> int:
-    """Of the series: what is left out is less than a fortieth of the dtype's rounding."""
+    """Number of terms of the series: the remainder is below a fortieth of the dtype's rounding."""
     return 13 if dtype == jnp.float64 else 8
 
 

@@ -214,7 +214,7 @@ def hat_overlap(response_nm: tuple[float, ...], bands_nm: tuple[float, ...]) -> 
 
 
 def camera_names() -> tuple[str, ...]:
-    """The cameras that `camera_response` knows."""
+    """The names of the cameras that `camera_response` accepts."""
     columns = tables.load("cameras").columns
     return tuple(sorted({column.rsplit(" ", 1)[0] for column in columns}))
 

@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
-# Whatever numpy takes: `check_wavelength` tells the good from the bad.
+# Anything that numpy accepts; `check_wavelength` refuses bad values.
 Wavelengths = ArrayLike | Sequence[Any] | float | int
 
 _DATA = Path(__file__).parents[1] / "data"
@@ -22,7 +22,7 @@ _HEADER = ("title", "citation", "units", "range", "note")
 
 
 def unknown(kind: str, name: str, known: Iterable[str]) -> ValueError:
-    """The error for a name that is not there: says what is near it, then what there is."""
+    """The error for an unknown name: it lists similar names, then all names."""
     known = sorted(known)
     # Names are compared without case and punctuation, so that "pope fry" finds "PopeFry1997".
     plain = {re.sub(r"\W", "", entry).lower(): entry for entry in known}

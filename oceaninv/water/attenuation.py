@@ -60,7 +60,7 @@ def kd_lee2013(
     bb_water: Float[Array, " wl"],
     zenith: ScalarLike,
 ) -> Float[Array, " wl"]:
-    """Mean Kd from the surface to the 10 % level, 1/m, with water and particles told apart.
+    """Mean Kd from the surface to the 10 % level, 1/m, with separate terms for water and particles.
 
     Kd = (1 + 0.005 zenith) a + 4.259 (1 - 0.265 bb_water/bb) (1 - 0.52 e^(-10.8 a)) bb; zenith of
     the sun in air in degrees, bb_water the part of bb that is sea water's.  Lee et al., 2013,

@@ -1,4 +1,4 @@
-"""Bio-optical models: from what is dissolved and suspended in water to its optical properties."""
+"""Bio-optical models: from dissolved and suspended constituents to inherent optical properties."""
 
 import abc
 import functools
@@ -35,7 +35,7 @@ class Constituents(eqx.Module):
     - `cdom`: absorption by coloured dissolved organic matter at 440 nm, 1/m.
     - `detritus`: absorption by organic detritus at 400 nm, 1/m.
     - `minerals`: suspended minerals, g/m3.
-    - further constituents by name, for models that know them.
+    - further constituents by name, for models that have them.
 
     Negative concrete amounts raise ValueError.
     """
@@ -192,15 +192,15 @@ class Detritus(AbstractConstituent):
     """Organic detritus, by its absorption at 400 nm (1/m).
 
     a(wl) = amount exp(-slope (wl - 400)), slope 0.0123 /nm (Babin et al. 2003);
-    b(wl) = tie amount (400/wl)^exponent.
+    b(wl) = scattering_ratio amount (400/wl)^exponent.
 
-    - `tie`: scattering per absorption at 400 nm.  All separation of detritus from CDOM hangs on
-      it.  Measured values scatter by a factor of 2 about 5; fits treat it as a nuisance.
+    - `scattering_ratio`: scattering-to-absorption ratio b_d/a_d(400).  It alone separates detritus
+      from CDOM.  Measured values scatter by a factor of 2 about 5; fits treat it as a nuisance.
     - `exponent`: 0.9, the decline of scattering in Stramski et al. 2001.
     """
 
     slope: ScalarLike = 0.0123
-    tie: ScalarLike = 5.0
+    scattering_ratio: ScalarLike = 5.0
     exponent: ScalarLike = 0.9
     phase: AbstractPhase | None = eqx.field(default_factory=lambda: particle_phase(0.018))
     name: str = eqx.field(static=True, default="detritus")
@@ -209,7 +209,7 @@ class Detritus(AbstractConstituent):
         return _exponential(amount, self.slope, wavelength, 400.0)
 
     def scattering(self, amount: Float[Array, ""], wavelength: np.ndarray) -> Array | None:
-        return _power(jnp.multiply(self.tie, amount), self.exponent, wavelength, 400.0)
+        return _power(jnp.multiply(self.scattering_ratio, amount), self.exponent, wavelength, 400.0)
 
 
 class Minerals(AbstractConstituent):
@@ -257,7 +257,7 @@ class TabulatedDetritus(AbstractConstituent):
     """Detritus and minerals together as in Gutierrez et al. 2008: eq 8 with slope 0.011 /nm, and
     the scattering spectrum of their table 2 (total) for an absorption of 0.1 /m at 400 nm.
 
-    The paper prints that spectrum without a tie to the absorption; here it scales with the
+    The paper prints that spectrum without relating it to the absorption; here it scales with the
     amount, so that water without detritus has no detritus scattering.
     """
 
@@ -278,7 +278,7 @@ class BioOpticalModel(eqx.Module):
 
     **Arguments:**
 
-    - `constituents`: the constituents that the model knows; the default is `Phytoplankton()`,
+    - `constituents`: the constituents of the model; the default is `Phytoplankton()`,
       `CDOM()`, `Detritus()`, `Minerals()`.
     - `water_absorption`, `water_scattering`: sources by author and year, see
       `oceaninv.water.absorption` and `oceaninv.water.scattering`.

@@ -48,7 +48,7 @@ class AbstractInelastic(eqx.Module):
 
     @abc.abstractmethod
     def coefficient(self, iops: IOPs) -> Float[Array, " wl"]:
-        """What it takes from the light, 1/m, times what of the yield is a parameter."""
+        """Absorption of exciting light, 1/m, times the yield as far as it is a parameter."""
 
     @abc.abstractmethod
     def shares(self, wavelength: tables.Wavelengths, photons: bool = False) -> Shares:
@@ -68,7 +68,7 @@ class Raman(AbstractInelastic):
 
     The coefficient is 2.6e-4 (488/wl)^5.5 1/m (Bartlett et al. 1998, Applied Optics 37:3324: 2.7
     +- 0.2; Desiderio 2000: 2.4), in its form for energy; the shift is that of Walrafen 1967, whose
-    integral over emission is 1.  Energy is what it conserves in this form.
+    integral over emission is 1.  In this form it conserves energy.
 
     - `coefficient_at_488`: 1/m.
     - `exponent`: 5.5 +- 0.4 against the wavelength of excitation.
@@ -92,7 +92,7 @@ class Raman(AbstractInelastic):
     def shares(self, wavelength: tables.Wavelengths, photons: bool = False) -> Shares:
         """See `AbstractInelastic.shares`; of energy only, which is what its form conserves."""
         if photons:
-            raise ValueError("Raman scattering is written for energy: ask for its photons=False.")
+            raise ValueError("Raman scattering is defined for energy: use photons=False.")
         return _raman_shares(tuple(tables.check_wavelength(wavelength).tolist()), self.exponent)
 
     @property

@@ -20,7 +20,7 @@ def mitsuba_medium(water: IOPs, tabulated: bool = False, angles: int = 4001) -> 
       within a step of the forward direction (1.3 degrees at 4001).
 
     Extinction (1/m) and albedo keep their spectra, linear between the bands; the phase functions
-    are mixed by their share of the scattering averaged over the bands, for the renderer knows no
+    are mixed by their share of the scattering averaged over the bands, as the renderer has no
     phase function that varies with wavelength.  Use a spectral variant (`scalar_spectral`) and
     metres.  Concrete values only.
 

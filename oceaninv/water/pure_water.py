@@ -87,7 +87,7 @@ def scattering(
       (b = 0.00288 (500/wavelength)^4.32 for sea water of salinity 35 to 39, 0.00222 for fresh
       water, linear in between; within 0.5 % of his table up to 525 nm, 3 % below it at 575 nm and
       7 % at 600 nm, where it ends). In sea water the first is 7 to 13 % below the second.
-    - `temperature`: degC, 0 to 30; Morel1974 knows only 20.
+    - `temperature`: degC, 0 to 30; Morel1974: 20 only.
     - `salinity`: practical, 0 to 40; Morel1974 0 to 39.
 
     **Raises:** `ValueError` for an unknown source or anything out of range.
