@@ -17,7 +17,7 @@ _MOST_PIXELS = 25_000_000
 
 
 class Section:
-    """One table of a toml file.  `finish` refuses keys that nobody asked for.
+    """One table of a toml file.  `finish` refuses keys that were not read.
 
     `files`: what the whole file has named so far, itself first; tables within share the list.
     """

@@ -1,4 +1,4 @@
-"""Cameras: from a pose to lines of sight, from linear channel values to what a file holds."""
+"""Cameras: from a pose to lines of sight, from linear channel values to the values in a file."""
 
 import equinox as eqx
 import jax

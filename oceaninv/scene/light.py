@@ -173,7 +173,7 @@ class AbstractLamp(eqx.Module):
 
 
 class PointLamp(AbstractLamp):
-    """A lamp that shines alike in all directions.
+    """A lamp that shines equally in all directions.
 
     - `position`: (3,) metres, z the depth.
     - `intensity`: (wl,) W sr-1 nm-1: the irradiance across its light at r metres is
@@ -192,7 +192,7 @@ class PointLamp(AbstractLamp):
 
 
 class SpotLamp(AbstractLamp):
-    """A lamp that shines evenly into a cone and not beside it.
+    """A lamp that shines uniformly into a cone and not outside it.
 
     - `position`: (3,) metres; `direction`: (3,) the way it shines, of any length.
     - `half_angle`: from the axis to the edge of the cone, degrees, 0 < half_angle <= 90.

@@ -1,9 +1,9 @@
-"""Solid, opaque, Lambertian things in the water, and where a straight line meets them.
+"""Solid, opaque, Lambertian objects in the water, and their intersections with straight lines.
 
-`nearest` and `blocked` answer for one line; map them over many.  Directions are the way in which
-the line is followed (a line of sight from the eye, a shadow line towards the sun), of unit length.
-Metres; z is the depth.  Distances and normals are differentiable, forward and reverse, in the
-line and in the shapes; which object is met is not (its derivative is 0).
+`nearest` and `blocked` take one line; map them over many.  A direction is the unit vector along
+which the line is followed (a line of sight from the eye, a shadow line towards the sun).  Metres;
+z is the depth.  Distances and normals are differentiable, forward and reverse, in the line and in
+the shapes; the choice of the object that is met is not (its derivative is 0).
 """
 
 import abc
@@ -17,15 +17,15 @@ from jaxtyping import Array, Bool, Float
 from oceaninv.foundation.numerics import safe_sqrt
 from oceaninv.water.iops import check_concrete
 
-# Larger than any distance under water, yet its square fits in float32.
+# Larger than any distance under water, but its square fits in float32.
 _FAR = 1e15
 
 
 class Hit(eqx.Module):
-    """Where a line meets a thing.
+    """The point where a line meets an object.
 
-    `distance`: metres, inf when it meets nothing.  `normal`: unit vector of the surface, on the
-    side from which the line comes; 0 when there is none.  `reflectance`: 0 when there is none.
+    `distance`: metres, inf if it meets none.  `normal`: unit vector of the surface, on the side
+    from which the line comes; 0 if there is none.  `reflectance`: 0 if there is none.
     """
 
     distance: Float[Array, ""]
@@ -36,8 +36,8 @@ class Hit(eqx.Module):
 class AbstractObject(eqx.Module):
     """A solid with one diffuse reflectance.  Subclasses are final.
 
-    A line that starts on a surface does not meet it again where it starts: what lies nearer than
-    `_skin` times the object's size does not count.
+    A line that starts on a surface does not meet it again at its start: intersections nearer than
+    `_skin` times the object's size are ignored.
     """
 
     reflectance: eqx.AbstractVar[Float[Array, " wl"]]
@@ -91,7 +91,7 @@ class Sphere(AbstractObject):
         """See `AbstractObject`."""
         apart = self.centre - origin
         along = jnp.dot(apart, direction)
-        # The distance of the line from the centre, taken first: exact also from far away.
+        # The distance of the line from the centre, computed first: exact even from far away.
         across = apart - along * direction
         squared = self.radius**2 - jnp.dot(across, across)
         half = safe_sqrt(squared)
@@ -162,8 +162,8 @@ class HeightField(AbstractObject):
     - `x0`, `y0`: metres; `spacing`: metres > 0.
     - `reflectance`: (wl,) between 0 and 1.
 
-    It ends at the grid's edge: lay a floor under it where lines pass beside it.  A line takes a
-    step per cell that it crosses while it is between the least and the greatest depth.
+    It ends at the edge of the grid: add a floor below it if lines pass outside the grid.  A line
+    takes one step per cell that it crosses between the least and the greatest depth.
     """
 
     depth: Float[Array, "ny nx"]
@@ -320,7 +320,7 @@ def blocked(
     direction: Float[Array, "3"],
     limit: Float[Array, ""],
 ) -> Bool[Array, ""]:
-    """Whether anything stands nearer than `limit` metres on a line."""
+    """Whether a line meets any object nearer than `limit` metres."""
     shadow = jnp.zeros((), dtype=bool)
     for thing in objects:
         shadow = shadow | (thing.meet(origin, direction)[0] < limit)

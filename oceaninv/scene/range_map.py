@@ -1,4 +1,4 @@
-"""Range maps: what a camera sees when the distance of every pixel is known."""
+"""Range maps: the objects before a camera, given by the distance of every pixel."""
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -12,10 +12,10 @@ _JUMP = 0.1  # relative change of range from pixel to pixel that is an edge, not
 
 
 class Ranged(eqx.Module):
-    """What every line of sight of a camera meets, row by row from the top left.
+    """The point that every line of sight of a camera meets, row by row from the top left.
 
-    `distance`: m; `normal`: unit vector towards the side of the camera; `met`: whether there is
-    anything; `texture`: shares of the map's reflectances.
+    `distance`: m; `normal`: unit vector towards the side of the camera; `met`: whether there is an
+    object; `texture`: shares of the map's reflectances.
     """
 
     distance: Float[Array, " ray"]
@@ -25,7 +25,7 @@ class Ranged(eqx.Module):
 
 
 class RangeMap(eqx.Module):
-    """Distances along the lines of sight of a camera, and how the things there reflect.
+    """Distances of objects along the lines of sight of a camera, and their reflectances.
 
     **Arguments:** concrete.
 
@@ -74,9 +74,9 @@ class RangeMap(eqx.Module):
         self.distance, self.texture = distance, texture
 
     def seen_by(self, camera: Camera) -> Ranged:
-        """What the lines of sight of a camera meet: the nearest pixel of the map, which covers the
-        whole picture.  Normals come from the neighbours; beside an edge (a jump of more than a
-        tenth) things face the camera."""
+        """The points that the lines of sight of a camera meet, from the nearest pixel of the map,
+        which covers the whole picture.  Normals are computed from neighbouring pixels; at an edge
+        (a change of range of more than a tenth) surfaces face the camera."""
         rows, columns = (
             ((np.arange(n) + 0.5) / n * m).astype(int)
             for n, m in zip((camera.height, camera.width), self.distance.shape, strict=True)

@@ -1,4 +1,4 @@
-"""A scene: water, light, and what bounds the water.  A term that is None does not exist."""
+"""A scene: water, light, surface, floor and objects.  A term that is None does not exist."""
 
 import equinox as eqx
 import jax.core
@@ -15,10 +15,10 @@ from oceaninv.water.iops import IOPs, Layers, check_concrete
 
 
 class FlatSurface(eqx.Module):
-    """An air-water interface that is flat on the whole.
+    """An air-water interface that is flat on average.
 
-    **Arguments:** `index`: refractive index of the water, >= 1; `waves`: whose caustics play on
-    the floor; for everything else the surface stays flat.  `None`: calm.
+    **Arguments:** `index`: refractive index of the water, >= 1; `waves`: they cause caustics on the
+    floor; for everything else the surface is flat.  `None`: calm.
     """
 
     index: Float[Array, ""]
@@ -50,7 +50,7 @@ class Floor(eqx.Module):
 
 
 class Scene(eqx.Module):
-    """Horizontally uniform water under a sun, and what is in it.
+    """Horizontally uniform water under a sun, with surface, floor, objects and lamps.
 
     **Arguments:**
 
@@ -62,8 +62,8 @@ class Scene(eqx.Module):
     - `lamps`: `PointLamp` or `SpotLamp`, in the water.
     - `inelastic`: `Inelastic` processes, or `None`.
 
-    Spectra whose length differs from the water's wavelengths raise ValueError, as do things out
-    of the water.
+    Spectra whose length differs from the water's wavelengths raise ValueError, as do objects and
+    lamps out of the water.
     """
 
     water: IOPs | Layers
@@ -103,7 +103,7 @@ class Scene(eqx.Module):
             self._check_extent(f"lamps[{i}]", lamp.position[2], lamp.position[2])
 
     def _check_extent(self, name: str, top, bottom) -> None:
-        """ValueError if a concrete thing is out of the water; one may be partly buried."""
+        """ValueError for a concrete object or lamp out of the water; it may be partly buried."""
         bounds = (top, bottom, None if self.floor is None else self.floor.depth)
         if any(isinstance(bound, jax.core.Tracer) for bound in bounds):
             return

@@ -108,7 +108,7 @@ def load_scene(path: str | Path, *, bands: int | None = None) -> SceneFile:
 
 @contextlib.contextmanager
 def _naming(path: str | Path, table: str = ""):
-    """Names the file and its table in errors of rooms that know neither."""
+    """Adds the file and its table to errors of packages that do not know them."""
     try:
         yield
     except (ValueError, ImportError) as error:
@@ -138,7 +138,7 @@ def _bands(table: Section, count: int | None) -> np.ndarray:
 
 
 class _Turn:
-    """Turns the horizontal so that the sun, which a scene has towards +x, stands elsewhere."""
+    """Rotates about the vertical, since a scene has its sun towards +x but a file may not."""
 
     def __init__(self, azimuth: float):
         angle = np.radians(azimuth)
