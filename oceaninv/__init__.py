@@ -16,7 +16,7 @@ from oceaninv.scene import (
     range_map, scene_file, waves)
 from oceaninv.transport import (
     EnergyBudget, Estimate, FourStream, Irradiance, KdTransport, MonteCarlo, PlaneParallel,
-    Shadows, TwoStream, apparent, energy_budget, irradiance, photograph, radiance)
+    Shadows, TwoStream, WithObjects, apparent, energy_budget, irradiance, photograph, radiance)
 from oceaninv.water import (
     CDOM, BioOpticalModel, CDOMFluorescence, ChlorophyllFluorescence, Constituents, Detritus,
     Inelastic, IOPs, Layers, Minerals, Phytoplankton, Raman, attenuation, bio_optics,
@@ -29,8 +29,8 @@ __all__ = [
     "FlatSurface", "Floor", "FourStream", "HeightField", "IOPs", "Inelastic", "Irradiance",
     "KdTransport", "Layers", "Light", "Minerals", "MonteCarlo", "Phytoplankton", "Plan",
     "PlaneParallel", "PointLamp", "Raman", "RangeMap", "Rays", "Scene", "SceneFile", "Sensor",
-    "Shadows", "Sphere", "SpotLamp", "TabulatedSky", "TwoStream", "apparent", "attenuation",
-    "bio_optics", "camera", "energy_budget", "gutierrez2008", "inelastic", "iops", "irradiance",
-    "jerlov", "light", "load_scene", "media", "mie", "mitsuba", "objects", "optics",
+    "Shadows", "Sphere", "SpotLamp", "TabulatedSky", "TwoStream", "WithObjects", "apparent",
+    "attenuation", "bio_optics", "camera", "energy_budget", "gutierrez2008", "inelastic", "iops",
+    "irradiance", "jerlov", "light", "load_scene", "media", "mie", "mitsuba", "objects", "optics",
     "particles", "phase", "photograph", "plan", "radiance", "range_map", "scene_file",
     "spectrum", "tables", "transport", "water", "waves"]

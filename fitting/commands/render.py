@@ -106,7 +106,7 @@ def _transport(name: str, found, steps: int, paths: int):
     }[name]()
     scene = found.scene
     waves = scene.surface is not None and scene.surface.waves is not None
-    return oi.Shadows(base, steps) if scene.objects or scene.lamps or waves else base
+    return oi.WithObjects(base, steps) if scene.objects or scene.lamps or waves else base
 
 
 def _resized(camera, width: int):

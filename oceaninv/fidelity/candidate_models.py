@@ -48,9 +48,9 @@ def answer_of_transport(transport: AbstractTransport, quantity: str) -> Answer:
 
 def references(scene: Scene, quantity: str) -> tuple[CandidateModel, CandidateModel]:
     """A converged model, and a coarser one whose difference from it estimates its error."""
-    generations = 1 if scene.inelastic is None else 3
+    inelastic_orders = 1 if scene.inelastic is None else 3
     orders = 1 if quantity == "irradiance" else None
-    made = (PlaneParallel(n, orders, generations) for n in (28, 22))
+    made = (PlaneParallel(n, orders, inelastic_orders) for n in (28, 22))
     first, second = (CandidateModel(_name(t), answer_of_transport(t, quantity)) for t in made)
     return first, second
 
@@ -62,7 +62,7 @@ def candidate_models(scene: Scene, quantity: str) -> list[CandidateModel]:
     dials = ((4, 1), (8, 1), (16, 1)) if flux else ((4, 4), (8, 6), (16, 8), (16, 16))
     exact = [PlaneParallel(streams, orders) for streams, orders in dials]
     if scene.inelastic is not None:
-        exact.insert(2, PlaneParallel(8, 1 if flux else 6, generations=2))
+        exact.insert(2, PlaneParallel(8, 1 if flux else 6, inelastic_orders=2))
     models = [CandidateModel(_name(t), answer_of_transport(t, quantity)) for t in (*closed, *exact)]
     if not flux:
         models.insert(0, CandidateModel("printed closure", _printed_kd_closure))
@@ -142,7 +142,8 @@ def _three(quantity: str) -> tuple[AbstractTransport, ...]:
 
 def _name(transport: AbstractTransport) -> str:
     if isinstance(transport, PlaneParallel):
-        more = f", generations={transport.generations}" if transport.generations > 1 else ""
+        inelastic = transport.inelastic_orders
+        more = f", inelastic_orders={inelastic}" if inelastic > 1 else ""
         return f"PlaneParallel({transport.streams}, {transport.orders}{more})"
     if isinstance(transport, MonteCarlo):
         return f"MonteCarlo({transport.paths}, {transport.bounces})"

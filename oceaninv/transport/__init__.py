@@ -11,10 +11,10 @@ from oceaninv.transport.closed_form.two_stream import TwoStream
 from oceaninv.transport.energy import EnergyBudget, energy_budget
 from oceaninv.transport.front import irradiance, photograph, radiance
 from oceaninv.transport.monte_carlo.monte_carlo import MonteCarlo
-from oceaninv.transport.objects.shadows import Shadows
+from oceaninv.transport.objects.shadows import Shadows, WithObjects
 from oceaninv.transport.plane_parallel.plane_parallel import PlaneParallel
 
 __all__ = [
     "EnergyBudget", "Estimate", "FourStream", "Irradiance", "KdTransport", "MonteCarlo",
-    "PlaneParallel", "Shadows", "TwoStream", "apparent", "energy_budget", "irradiance", "kd",
-    "photograph", "radiance"]
+    "PlaneParallel", "Shadows", "TwoStream", "WithObjects", "apparent", "energy_budget",
+    "irradiance", "kd", "photograph", "radiance"]

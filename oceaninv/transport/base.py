@@ -1,6 +1,7 @@
-"""What every transport answers, and in which form."""
+"""The interface of every transport, and the form of its results."""
 
 import abc
+import warnings
 from typing import ClassVar
 
 import equinox as eqx
@@ -13,11 +14,11 @@ from oceaninv.water.iops import IOPs
 
 
 class Estimate(eqx.Module):
-    """A computed quantity with what is known of its error.
+    """A computed quantity and its error, as far as that is known.
 
     - `value`: the quantity.
     - `stderr`: standard error of a random estimate; 0 for a deterministic one.
-    - `bias`: bound on what was neglected or truncated; nan where no bound is known.
+    - `bias`: bound on the part that was neglected or truncated; nan where no bound is known.
     """
 
     value: Float[Array, "..."]
@@ -50,19 +51,19 @@ def homogeneous(scene: Scene) -> IOPs:
 
 
 class AbstractTransport(eqx.Module):
-    """A model of the light field: the numbers it holds are its fidelity.
+    """A model of the light field; its fields set its accuracy.
 
     Subclasses are final; call them through the front ends `radiance`, `irradiance` and
     `photograph`, which check their input.
 
-    `sees_things`: whether it honours the objects and lamps of a scene by itself.
+    `draws_objects`: whether it honours the objects and lamps of a scene by itself.
     `inelastic`: whether it honours its inelastic processes.
     `in_pieces`: whether a ray costs the same in a small batch as in a large one, so that pictures
-    are drawn in pieces that fit the memory.
+    can be computed in pieces that fit the memory.
     `any_sky`: whether it honours a sky that is not uniform.
     """
 
-    sees_things: ClassVar[bool] = False
+    draws_objects: ClassVar[bool] = False
     inelastic: ClassVar[bool] = False
     in_pieces: ClassVar[bool] = False
     any_sky: ClassVar[bool] = False
@@ -76,3 +77,11 @@ class AbstractTransport(eqx.Module):
         self, scene: Scene, depths: Float[Array, " depth"], key: Key[Array, ""] | None
     ) -> Irradiance:
         """Irradiances at depths; see `oceaninv.irradiance`."""
+
+
+def inelastic_orders_of(inelastic_orders: int, generations: int | None) -> int:
+    """`inelastic_orders`, or the argument `generations`, its former name, if that is given."""
+    if generations is None:
+        return inelastic_orders
+    warnings.warn("generations is now inelastic_orders.", DeprecationWarning, stacklevel=5)
+    return generations

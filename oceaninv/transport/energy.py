@@ -1,4 +1,4 @@
-"""Where the energy of the light goes, by kind of event."""
+"""The energy budget of the light, by kind of event."""
 
 import equinox as eqx
 import jax
@@ -12,7 +12,7 @@ from oceaninv.scene.scene import Scene
 from oceaninv.transport.base import Estimate
 from oceaninv.transport.monte_carlo import _energy_tally, _weights
 from oceaninv.transport.monte_carlo._energy_tally import Tracks
-from oceaninv.transport.monte_carlo._event_loop import Plan
+from oceaninv.transport.monte_carlo._event_loop import WalkSettings
 from oceaninv.transport.monte_carlo._random_numbers import key_words
 from oceaninv.transport.monte_carlo._random_walk import Proposal
 from oceaninv.transport.monte_carlo.monte_carlo import MonteCarlo
@@ -23,18 +23,19 @@ from oceaninv.water.iops import IOPs
 class EnergyBudget(eqx.Module):
     """Energy that takes part in every kind of event, as a share of all that enters the water.
 
-    All `Estimate`s of shape (wl,), at the wavelength that the light has when the event befalls it;
-    the sum over wavelengths is the share of the whole spectrum.
+    All are `Estimate`s of shape (wl,), at the wavelength of the light at the time of the event; the
+    sum over wavelengths is the share of the whole spectrum.
 
-    - `absorption`: by constituent, what stays there as heat (loss on a change of wavelength
+    - `absorption`: by constituent, the energy that becomes heat (the loss on a change of wavelength
       included).
-    - `elastic`: by constituent, what is scattered; may exceed 1, for light is scattered often.
-    - `inelastic`: by constituent, what is taken to be emitted at another wavelength.
-    - `sinks`: absorbed by the `floor`, gone through the `surface`, emitted `beyond the grid`, and
-      `untraced`: still on its way after the last event, or emitted by the last generation.
-    - `entered`: what enters, (wl,), of sum 1.
-    - `remaining`: (interaction+1,) what is left of all after 0, 1, 2, ... interactions, elastic
-      scattering and reflections; inelastic light counts as gone.
+    - `elastic`: by constituent, the energy scattered; may exceed 1, as light scatters many times.
+    - `inelastic`: by constituent, the energy absorbed and emitted at another wavelength.
+    - `sinks`: energy absorbed by the `floor`, lost through the `surface`, emitted `beyond the
+      grid`, and `untraced`: not yet absorbed after the last event, or emitted by the last order of
+      inelastic scattering.
+    - `entered`: the energy that enters, (wl,), of sum 1.
+    - `remaining`: (interaction+1,) the energy left in the water after 0, 1, 2, ... interactions
+      (elastic scatterings and reflections); inelastic light counts as lost.
 
     Absorption and sinks close to 1, summed over wavelengths.
     """
@@ -48,8 +49,8 @@ class EnergyBudget(eqx.Module):
 
     @property
     def events(self) -> dict[str, Float[Array, ""]]:
-        """Share of each kind of event, such as "absorption: water", of the energy that takes part
-        in events with the water at all; they close to 1.  Gutierrez et al. 2008, figure 5."""
+        """Share of each kind of event, such as "absorption: water", in the energy of all events
+        with the water; the shares add up to 1.  Gutierrez et al. 2008, figure 5."""
         found = {
             f"{kind}: {name}": jnp.sum(estimate.value)
             for kind in ("absorption", "elastic", "inelastic")
@@ -68,15 +69,15 @@ class EnergyBudget(eqx.Module):
 def energy_budget(
     scene: Scene, transport: MonteCarlo | None = None, *, key: Key[Array, ""] | None = None
 ) -> EnergyBudget:
-    """What becomes of the light that enters the water of a scene.
+    """The energy budget of the light that enters the water of a scene.
 
     With the constituents of Gutierrez et al. 2008 (`gutierrez2008`) and `Inelastic` of all three
     processes these are the ten events of its table 3.  Constituents that share a phase function
     share a name, joined by "+".
 
-    `transport`: `MonteCarlo(2**15, 64)` unless given, `generations` included; `key`: `key(0)`.
-    Standard errors count nothing twice: that the shares close is known, and taken off as a control
-    (regression on the balance of each group of walks).
+    `transport`: `MonteCarlo(2**15, 64)` by default; its `inelastic_orders` applies; `key`: by
+    default `key(0)`.  As the shares are known to add up to 1, the energy balance of each group of
+    walks serves as a control variate, which reduces the standard errors.
 
     Raises ValueError for a scene with objects or lamps, whose light is not horizontally uniform,
     and for a sky that is not uniform.
@@ -88,7 +89,7 @@ def energy_budget(
             "under a uniform sky: leave objects, lamps and light.sky out of the scene."
         )
     words = key_words(jax.random.key(0) if key is None else key)
-    return _budget(scene, words, transport.plan, transport.proposal, transport.generations)
+    return _budget(scene, words, transport.plan, transport.proposal, transport.inelastic_orders)
 
 
 def _owner(term: AbstractInelastic, water: IOPs) -> str:
@@ -112,7 +113,7 @@ class _Events(eqx.Module):
 
 
 def _events(scene: Scene, tracks: Tracks) -> _Events:
-    """What tracks mean; `emitted`: energy that appears in each band."""
+    """The events of tracks; `emitted`: energy that appears in each band."""
     none = jnp.zeros_like(tracks.left)
     absorption, elastic, inelastic, emitted, beyond = {}, {}, {}, none, none
 
@@ -130,9 +131,9 @@ def _events(scene: Scene, tracks: Tracks) -> _Events:
             shares = term.shares(water.wavelength)
             inside, outside = (jnp.asarray(v, light.dtype) for v in (shares.inside, shares.outside))
             excited = light * term.coefficient(water)[None]
-            taken = excited * (jnp.sum(inside, axis=1) + outside)[None]
-            add(inelastic, _owner(term, water), taken)
-            add(absorption, _owner(term, water), -taken)
+            converted = excited * (jnp.sum(inside, axis=1) + outside)[None]
+            add(inelastic, _owner(term, water), converted)
+            add(absorption, _owner(term, water), -converted)
             emitted, beyond = emitted + excited @ inside, beyond + excited * outside[None]
     sinks = {"surface": tracks.escaped, "untraced": tracks.left}
     if scene.floor is not None:
@@ -143,7 +144,7 @@ def _events(scene: Scene, tracks: Tracks) -> _Events:
 
 
 def _spent(scene: Scene, tracks: Tracks) -> Array:
-    """All that leaves the band of each wavelength, or is left in it, (group, wl)."""
+    """All energy that leaves each band, or is left in it at the end, (group, wl)."""
     found = tracks.escaped + tracks.left
     if scene.floor is not None:
         found += tracks.floor * (1.0 - scene.floor.reflectance)[None]
@@ -153,7 +154,7 @@ def _spent(scene: Scene, tracks: Tracks) -> Array:
 
 
 def _balanced(scene: Scene, tracks: Tracks) -> Tracks:
-    """The same expected values, less what goes along with the balance, known to be 0."""
+    """Tracks with the same expected values, less their regression on the balance, which is 0."""
     balance = _spent(scene, tracks) - tracks.entered
     centred = balance - jnp.mean(balance, axis=0, keepdims=True)
     spread = jnp.sum(centred**2, axis=0, keepdims=True)
@@ -168,7 +169,7 @@ def _balanced(scene: Scene, tracks: Tracks) -> Tracks:
 
 
 def _scaled(scene: Scene, tracks: Tracks, emitted: Array) -> Tracks:
-    """Tracks whose energy is, band by band, what the generation before has `emitted`, (wl,)."""
+    """Tracks scaled so that their energy by band is what the previous order `emitted`, (wl,)."""
     spent = _spent(scene, tracks)
     mean = jnp.mean(spent, axis=0, keepdims=True)
     some = jnp.where(mean > 0, mean, 1.0)
@@ -177,7 +178,7 @@ def _scaled(scene: Scene, tracks: Tracks, emitted: Array) -> Tracks:
     def times(leaf):
         rest = (slice(None), *(None,) * (leaf.ndim - 2))
         share = jnp.mean(leaf, axis=0, keepdims=True) / some[rest]
-        # What a group has less of all does not count as its error.
+        # A group's deviation in total energy is not part of its error.
         return (leaf - share * (spent - mean)[rest]) * scale[rest]
 
     return jax.tree.map(times, tracks)
@@ -185,7 +186,11 @@ def _scaled(scene: Scene, tracks: Tracks, emitted: Array) -> Tracks:
 
 @eqx.filter_jit
 def _budget(
-    scene: Scene, words: UInt32[Array, " 2"], plan: Plan, proposal: Proposal | None, generations
+    scene: Scene,
+    words: UInt32[Array, " 2"],
+    plan: WalkSettings,
+    proposal: Proposal | None,
+    inelastic_orders,
 ) -> EnergyBudget:
     dtype = scene.light.direct.dtype
     width = jnp.ones(1, dtype)
@@ -198,7 +203,9 @@ def _budget(
     whole = jnp.sum(entered)
     every = [_events(scene, first)]
     if scene.inelastic is not None:
-        for tracks in _energy_tally.inelastic(scene, words, plan, proposal, width, generations):
+        for tracks in _energy_tally.inelastic(
+            scene, words, plan, proposal, width, inelastic_orders
+        ):
             tracks = _scaled(scene, tracks, jnp.mean(every[-1].emitted, axis=0))
             every.append(_events(scene, tracks))
     total = jax.tree.map(lambda *leaves: sum(leaves[1:], leaves[0]), *every)

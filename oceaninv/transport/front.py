@@ -1,4 +1,4 @@
-"""The front ends: any transport answers for any scene, after its input has been checked."""
+"""The front ends, which check the input and call any transport on any scene."""
 
 import equinox as eqx
 import jax
@@ -15,7 +15,7 @@ from oceaninv.scene.scene import Scene
 from oceaninv.transport.base import AbstractTransport, Estimate, Irradiance, homogeneous
 from oceaninv.transport.closed_form.two_stream import TwoStream
 from oceaninv.transport.objects.range_map_radiance import ranged_radiance
-from oceaninv.transport.objects.shadows import Shadows
+from oceaninv.transport.objects.shadows import WithObjects
 
 
 def radiance(
@@ -93,9 +93,9 @@ def photograph(
 
     Radiance is taken as smooth between the scene's wavelengths and integrated against the
     camera's response by `Response.smooth_weights` (unit: radiance x response x nm).  Objects and
-    lamps are drawn by `Shadows` around a transport that does not know them.  Keyword only:
-    `ranges`: a range map of this camera, whose things any transport lights and sees through the
-    water; `fine_light`: (nm, values) of a light whose structure between the bands is known, for
+    lamps are drawn by `WithObjects` around a transport that does not solve them.  Keyword only:
+    `ranges`: a range map of this camera, whose objects are seen through the water by any
+    transport; `fine_light`: (nm, values) of a light whose structure between the bands is known, for
     instance `spectrum.daylight_table()`; by default light is smooth, too.
 
     Raises ValueError as `radiance` does, and for a range map beside objects, lamps or waves.
@@ -115,11 +115,12 @@ def photograph(
 
 
 def check_ranges(scene: Scene, ranges: RangeMap) -> None:
-    """ValueError for a range map that a scene has no place for."""
+    """ValueError for a range map that does not go with the scene."""
     waves = scene.surface is not None and scene.surface.waves is not None
     if scene.objects or scene.lamps or waves:
         raise ValueError(
-            "a range map holds all things that are seen: it goes without objects, lamps and waves."
+            "a range map holds everything that is seen: leave objects, lamps and waves out of the"
+            " scene."
         )
     homogeneous(scene)
     if ranges.reflectance.shape[1] != len(scene.wavelength):
@@ -147,12 +148,12 @@ def _photograph(scene: Scene, camera: Camera, weights, transport, key) -> Estima
 
     def channels(origin, direction):
         seen = transport.radiance(scene, Rays(origin, direction), key)
-        # Bands of one ray share their paths: their errors add, at worst.
+        # Bands of one ray share their paths, so that in the worst case their errors add up.
         worst = jnp.abs(weights)
         return seen.value @ weights, seen.stderr @ worst, seen.bias @ worst
 
     count = origin.shape[0]
-    field = transport.base if isinstance(transport, Shadows) else transport
+    field = transport.base if isinstance(transport, WithObjects) else transport
     if not field.in_pieces or count <= _PIECE:
         found = channels(origin, direction)
     else:
@@ -169,25 +170,26 @@ def _photograph(scene: Scene, camera: Camera, weights, transport, key) -> Estima
 
 
 def _able(scene: Scene, transport: AbstractTransport | None) -> AbstractTransport:
-    """The transport, `TwoStream()` unless given, made to see the things that are there."""
+    """The transport, `TwoStream()` by default, with objects and lamps added where needed;
+    ValueError for a scene that it does not solve."""
     transport = TwoStream() if transport is None else transport
-    field = transport.base if isinstance(transport, Shadows) else transport
+    field = transport.base if isinstance(transport, WithObjects) else transport
     if scene.inelastic is not None and not field.inelastic:
         raise ValueError(
-            f"{type(field).__name__} knows no inelastic processes: take PlaneParallel or "
+            f"{type(field).__name__} does not solve inelastic processes: take PlaneParallel or "
             "MonteCarlo, or a Scene without inelastic."
         )
     if scene.light.sky is not None and not field.any_sky:
         raise ValueError(
-            f"{type(field).__name__} knows uniform skies only: take PlaneParallel, or a Light "
-            "without sky, which spreads diffuse evenly."
+            f"{type(field).__name__} solves uniform skies only: take PlaneParallel, or a Light "
+            "without sky, whose diffuse light is uniform."
         )
     waves = scene.surface is not None and scene.surface.waves is not None
-    if waves and transport.sees_things and not isinstance(transport, Shadows):
+    if waves and transport.draws_objects and not isinstance(transport, WithObjects):
         raise ValueError(
-            f"{type(field).__name__} knows no waves: take a closed form or PlaneParallel, or a"
-            " surface without waves."
+            f"{type(field).__name__} does not solve waves: take a closed form or PlaneParallel, or"
+            " a surface without waves."
         )
-    if (scene.objects or scene.lamps or waves) and not transport.sees_things:
-        return Shadows(transport)
+    if (scene.objects or scene.lamps or waves) and not transport.draws_objects:
+        return WithObjects(transport)
     return transport

@@ -40,7 +40,7 @@ def fluxes(paths: int, cases: list[int]):
     rows, known = [], json.loads(REFERENCE_FILE.read_text())["flux"]["cases"]
     for i in cases:
         case = known[i]
-        transport = oi.MonteCarlo(paths, 64, thin=False)
+        transport = oi.MonteCarlo(paths, 64, roulette=False)
         found = oi.irradiance(
             scene_of(case), jnp.asarray(case["tau"], float), transport, key=jax.random.key(i)
         )

@@ -65,7 +65,7 @@ def run() -> str:
         "|---|---|---|---|---|",
     ]
     columns = []
-    models = (oi.Shadows(oi.TwoStream()), oi.Shadows(oi.FourStream()))
+    models = (oi.WithObjects(oi.TwoStream()), oi.WithObjects(oi.FourStream()))
     for kind, depth in reversed(WATERS):
         whole, bare, camera = with_balls(kind, depth)
         rays = camera.rays()

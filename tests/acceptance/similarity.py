@@ -66,7 +66,7 @@ def tails() -> None:
     rays = oi.Rays(jnp.zeros(3), jnp.asarray([[0.0, 0.0, 1.0]]))
     exact = float(oi.radiance(scene, rays, oi.PlaneParallel(48)).value[0, 0])
     for similar in (10, 100):
-        transport = oi.MonteCarlo(1024, 193 + similar, thin=False, similar=similar)
+        transport = oi.MonteCarlo(1024, 193 + similar, roulette=False, similar=similar)
         for seed in range(300, 314):
             oi.radiance(scene, rays, transport, key=jax.random.key(seed)).value.block_until_ready()
             jax.effects_barrier()
@@ -98,7 +98,7 @@ def main() -> None:
         plain = 0.0
         for similar, left in ((None, rest), (10, soft), (100, soft)):
             events = int(np.clip(4.0 / left.min(), 64, 20000)) + (similar or 0)
-            transport = oi.MonteCarlo(walks, events, thin=False, similar=similar)
+            transport = oi.MonteCarlo(walks, events, roulette=False, similar=similar)
             value, stderr, seconds = estimates(water, transport, 1)
             plain = seconds if similar is None else plain
             error, random = value / exact - 1, stderr / exact

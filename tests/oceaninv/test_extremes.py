@@ -126,7 +126,7 @@ BAD = {
     "more photons out than in": lambda: oi.ChlorophyllFluorescence(1.5),
     "no walk": lambda: oi.MonteCarlo(paths=0),
     "walks without steps": lambda: oi.MonteCarlo(bounces=0),
-    "no generation": lambda: oi.PlaneParallel(4, 2, 0),
+    "no inelastic order": lambda: oi.PlaneParallel(4, 2, 0),
     "layers upside down": lambda: oi.Layers(
         jnp.array([3.0, 2.0]),
         (oi.IOPs([500.0], jnp.ones(1), jnp.ones(1), oi.phase.Isotropic()),) * 3,

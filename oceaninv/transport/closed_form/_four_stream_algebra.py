@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from oceaninv.foundation.numerics import safe_sqrt
-from oceaninv.transport.closed_form._ray_integral import Softened
+from oceaninv.transport.closed_form._ray_integral import ScaledAttenuation
 from oceaninv.water.iops import IOPs
 from oceaninv.water.phase import moments_of
 
@@ -62,14 +62,14 @@ def inverse(matrix):
     return rows / (a * d - b * c)[:, None, None]
 
 
-class Truncated(eqx.Module):
+class TruncatedWater(eqx.Module):
     """Water whose forward peak, the share chi_4^0.93 of scattering, counts as unscattered.
 
     `gain`: (2 l + 1) times what is left of b chi_l, 1/m; `lost`: absorbed share of the
     attenuation; `correction`: relative increase of the slowest mode's attenuation.
     """
 
-    softened: Softened
+    attenuation: ScaledAttenuation
     gain: Float[Array, "4 wl"]
     lost: Float[Array, " wl"]
     correction: Float[Array, " wl"]
@@ -77,7 +77,7 @@ class Truncated(eqx.Module):
     def __init__(self, water: IOPs):
         a, b, dtype = water.a, water.b, water.a.dtype
         moments = jnp.stack([jnp.asarray(moments_of(p, 4), dtype) for p in water.phases])
-        # Without scattering: the mean of the phase functions, which the slope in b wants.
+        # Without scattering: the mean of the phase functions, which the derivative in b needs.
         weights = water.b_components + 1e-18
         chi = jnp.sum(moments[:, :, None] * weights[:, None, :], axis=0)
         chi = chi / jnp.sum(weights, axis=0, keepdims=True)
@@ -85,7 +85,7 @@ class Truncated(eqx.Module):
         share = (jnp.maximum(chi[4], 0.0) * (1 - 1e-8) + 1e-8) ** _POWER
         c_star = a + b * (1.0 - share)
         forward = b * jnp.minimum(_FORWARD * share, _CAP)
-        self.softened = Softened(water.c, c_star, forward, _AUREOLE)
+        self.attenuation = ScaledAttenuation(water.c, c_star, forward, _AUREOLE)
         degree = jnp.asarray([[1.0], [3.0], [5.0], [7.0]], dtype)
         self.gain = degree * b[None, :] * (chi[:4] - share[None, :])
         self.lost = _ratio(a, c_star, 1.0)
@@ -95,7 +95,7 @@ class Truncated(eqx.Module):
     @property
     def gain_per_depth(self) -> Float[Array, "4 wl"]:
         """`gain` per optical depth."""
-        return _ratio(self.gain, self.softened.c_star[None, :], 0.0)
+        return _ratio(self.gain, self.attenuation.c_star[None, :], 0.0)
 
 
 def _ratio(x, y, otherwise):

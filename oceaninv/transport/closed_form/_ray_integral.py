@@ -1,8 +1,8 @@
 """Radiance along a ray whose source is a sum of exponentials of depth, in closed form.
 
-The closed-form transports differ in the diffuse field that they solve; this shell is the same for
-all: the source's integral along straight rays, single scattering with the true phase function,
-what the floor, the surface and the sky add, and rays that end at an object.
+The closed-form transports differ in the diffuse field that they solve.  This module is common to
+all: the integral of the source along straight rays, single scattering with the true phase function,
+the light of floor, surface and sky, and rays that end at an object.
 
 The diffuse field is written in e^(-K z), e^(-k0 z) (k0: the beam's) and
 
@@ -29,12 +29,12 @@ ENDLESS = 1e9
 _HORIZON = 1e-3
 
 
-class Softened(eqx.Module):
-    """What a delta-scaled water does to a ray (1/m).
+class ScaledAttenuation(eqx.Module):
+    """Attenuation of a delta-scaled water (1/m).
 
     `c`: beam attenuation; `c_star`: the same when the forward peak counts as unscattered light;
-    `forward`: scattering by which single scattering is softened, except below the angle `aureole`
-    (twice the sine of half the angle).
+    `forward`: the scattering subtracted from c for light scattered once, except at angles below
+    `aureole` (twice the sine of half the angle).
     """
 
     c: Float[Array, " wl"]
@@ -47,7 +47,7 @@ class Path(eqx.Module):
     """Straight rays from depth `z` to `end`, metres; `down`: change of depth per metre of ray.
 
     The first half of the rays looks down, the second half up: one program serves both.  Each
-    method integrates one function of depth, seen through the softened water, to (ray, wl).
+    method integrates one function of depth, attenuated by `c_star`, to (ray, wl).
     """
 
     z: Float[Array, "ray 1"]
@@ -86,7 +86,7 @@ class Path(eqx.Module):
 
     def grow(self, k: Float[Array, "1 wl"]) -> Float[Array, "ray wl"]:
         """Of s(z)."""
-        # The difference of two means over 2 K, taken one corner at a time.
+        # The difference of two means over 2 K, split into two parts without cancellation.
         (a1, b1), (a2, b2) = self._from_floor(k, -1.0), self._from_floor(k, 1.0)
         return self.length * (self.z * exp_mean3(a1, a2, b1) + self.end * exp_mean3(a2, b1, b2))
 
@@ -96,34 +96,38 @@ class Path(eqx.Module):
         return 0.5 * self.length * (exp_mean(*below) + exp_mean(*above))
 
 
-class AbstractField(eqx.Module):
-    """A diffuse light field with the beam that feeds it.
+class AbstractDiffuseField(eqx.Module):
+    """A diffuse light field and the sunbeam that is its source.
 
     `mu0`: cosine of the sun in the water; `beam`: irradiance normal to it below the surface;
     `bottom`: depth of the floor or None.
     """
 
-    water: eqx.AbstractVar[Softened]
+    attenuation: eqx.AbstractVar[ScaledAttenuation]
     mu0: eqx.AbstractVar[Float[Array, ""]]
     beam: eqx.AbstractVar[Float[Array, " wl"]]
     bottom: eqx.AbstractVar[Float[Array, ""] | None]
 
     @abc.abstractmethod
-    def multiple(self, path: Path, direction: Float[Array, "ray 3"]) -> Float[Array, "ray wl"]:
+    def multiply_scattered(
+        self, path: Path, direction: Float[Array, "ray 3"]
+    ) -> Float[Array, "ray wl"]:
         """Radiance scattered into rays from the diffuse field."""
 
     @property
     def k0(self) -> Float[Array, " wl"]:
-        """Attenuation of the (softened) beam with depth, 1/m."""
-        return self.water.c_star / self.mu0
+        """Attenuation of the delta-scaled sunbeam with depth, 1/m."""
+        return self.attenuation.c_star / self.mu0
 
     def direct(self, z: Float[Array, " depth"]) -> Float[Array, "depth wl"]:
-        """Irradiance normal to the (softened) sunbeam at depths z."""
+        """Irradiance normal to the delta-scaled sunbeam at depths z."""
         return self.beam[None, :] * jnp.exp(-self.k0[None, :] * z[:, None])
 
 
-def _path(field: AbstractField, z: Float[Array, "ray 1"], down: Float[Array, "ray 1"]) -> Path:
-    """Rays that run to the floor (or for ever): the first half; or to the surface."""
+def _path(
+    field: AbstractDiffuseField, z: Float[Array, "ray 1"], down: Float[Array, "ray 1"]
+) -> Path:
+    """Rays: the first half runs to the floor (or without end), the second to the surface."""
     lower, upper = (slice(None, z.shape[0] // 2), slice(z.shape[0] // 2, None))
     if field.bottom is None:
         fall = jnp.full_like(z[lower], ENDLESS)
@@ -133,33 +137,37 @@ def _path(field: AbstractField, z: Float[Array, "ray 1"], down: Float[Array, "ra
         ground = jnp.broadcast_to(field.bottom, fall.shape)
     length = jnp.concatenate([fall, -z[upper] / down[upper]])
     end = jnp.concatenate([ground, jnp.zeros_like(z[upper])])
-    return Path(z, end, length, down, field.water.c_star[None, :], field.k0[None, :], field.bottom)
+    return Path(
+        z, end, length, down, field.attenuation.c_star[None, :], field.k0[None, :], field.bottom
+    )
 
 
-def _single(field: AbstractField, scene: Scene, path: Path, direction) -> Float[Array, "ray wl"]:
-    """Sunlight scattered once.  The phase function is the true one; light turned through a small
-    angle is not softened by scattering through larger ones."""
+def _singly_scattered(
+    field: AbstractDiffuseField, scene: Scene, path: Path, direction
+) -> Float[Array, "ray wl"]:
+    """Sunlight scattered once, with the true phase function.  For light scattered through a small
+    angle the attenuation is not reduced by the forward peak."""
     half_sine = scattering_half_sine(direction, field.mu0)
-    water = field.water
-    softening = -jnp.expm1(-2.0 * half_sine / water.aureole)
-    c = water.c[None, :] - water.forward[None, :] * softening[:, None]
+    attenuation = field.attenuation
+    softening = -jnp.expm1(-2.0 * half_sine / attenuation.aureole)
+    c = attenuation.c[None, :] - attenuation.forward[None, :] * softening[:, None]
     near, far = path.z * c / field.mu0, (path.end / field.mu0 + path.length) * c
     turned = homogeneous(scene).volume_scattering(1.0 - 2.0 * half_sine**2)
     return turned * field.beam[None, :] * path.length * exp_mean(near, far)
 
 
-def _endless(field: AbstractField, scene: Scene, floor_radiance, z, direction):
+def _to_boundary(field: AbstractDiffuseField, scene: Scene, floor_radiance, z, direction):
     """Radiance of rays that end at the floor, at the surface or never, (ray, wl).  z: (ray,)."""
     steep = jnp.maximum(jnp.abs(direction[:, 2]), _HORIZON)[:, None]
     down = direction[:, 2:] >= 0
     depth = z[:, None]
-    # Rays that look up see the water from below, mirrored in the surface: from depth 0 they share
-    # an evaluation with the rays that look down.
+    # Rays that look up see the water mirrored in the surface.  Their images start at depth 0 and
+    # are evaluated together with the rays that look down.
     mirrored = jnp.concatenate([direction[:, :2], steep], axis=1)
     views = jnp.concatenate([mirrored, direction])
     start = jnp.concatenate([jnp.where(down, depth, 0.0), depth])
     path = _path(field, start, jnp.concatenate([steep, -steep]))
-    radiance = field.multiple(path, views) + _single(field, scene, path, views)
+    radiance = field.multiply_scattered(path, views) + _singly_scattered(field, scene, path, views)
     below, above = jnp.split(radiance, 2)
     to_floor, to_surface = jnp.split(jnp.exp(-path.c_star * path.length), 2)
     if floor_radiance is not None:
@@ -179,24 +187,27 @@ def _endless(field: AbstractField, scene: Scene, floor_radiance, z, direction):
 
 
 def radiance(
-    field: AbstractField, scene: Scene, rays: Rays, floor_radiance: Float[Array, " wl"] | None
+    field: AbstractDiffuseField,
+    scene: Scene,
+    rays: Rays,
+    floor_radiance: Float[Array, " wl"] | None,
 ) -> Float[Array, "ray wl"]:
     """Radiance along rays; a finite ray gathers the light scattered into it on the way.
 
     A finite ray follows from the exact identity A(P) = L(z) - e^(-c P) L(z + d P), whose c is
-    NOT softened: light scattered forward into the ray is light that arrives.
+    NOT delta-scaled: light scattered forward into the ray is light that arrives.
     """
     z, direction = rays.origin[:, 2], rays.direction
     if rays.length is None:
-        return _endless(field, scene, floor_radiance, z, direction)
+        return _to_boundary(field, scene, floor_radiance, z, direction)
     end = z + rays.length * direction[:, 2]
     ended = end >= 0
     if field.bottom is not None:
         ended = ended & (end <= field.bottom)
-    # Both ends of every ray in one evaluation: half the program to compile.
+    # Both ends of every ray in one evaluation, which halves the program to compile.
     ends = jnp.concatenate([z, jnp.where(ended, end, z)])
     both = jnp.concatenate([direction, direction])
-    whole, beyond = jnp.split(_endless(field, scene, floor_radiance, ends, both), 2)
+    whole, beyond = jnp.split(_to_boundary(field, scene, floor_radiance, ends, both), 2)
     length = jnp.where(ended, rays.length, 0.0)
-    transmitted = jnp.exp(-field.water.c[None, :] * length[:, None])
+    transmitted = jnp.exp(-field.attenuation.c[None, :] * length[:, None])
     return jnp.where(ended[:, None], whole - transmitted * beyond, whole)

@@ -1,6 +1,6 @@
 """A diffuse light field given by its first two angular moments, as the cheap closed forms use it.
 
-At depth z, in the functions g and s of the shell,
+At depth z, with the functions g and s of `_ray_integral`,
 
     scalar irradiance  E(z) = e.decay e^(-K z) + e.beam e^(-k0 z) + e.mixed g(z) + e.grow s(z)
     net downward flux  F(z) = f.decay e^(-K z) + f.beam e^(-k0 z) + f.mixed g(z) + f.grow s'(z).
@@ -15,17 +15,21 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from oceaninv.foundation.numerics import exp_mean
-from oceaninv.transport.closed_form._ray_integral import AbstractField, Path, Softened
+from oceaninv.transport.closed_form._ray_integral import (
+    AbstractDiffuseField,
+    Path,
+    ScaledAttenuation,
+)
 from oceaninv.water.iops import IOPs
 
-# Angular scale (twice the sine of half the angle) below which scattering does not soften the beam.
+# Angular scale (twice the sine of half the angle) below which the forward peak still attenuates.
 _AUREOLE = 0.138
 
 
-class Scaled(eqx.Module):
+class DeltaScaledWater(eqx.Module):
     """Delta-scaled water: the share chi_2 of scattering counts as unscattered light (1/m)."""
 
-    softened: Softened
+    attenuation: ScaledAttenuation
     b_star: Float[Array, " wl"]
     bg_star: Float[Array, " wl"]
 
@@ -34,12 +38,12 @@ class Scaled(eqx.Module):
         b, first, second = moments[0], moments[1], moments[2]
         self.b_star = b - second
         self.bg_star = first - second
-        # Capped, lest a phase function that is all peak leave nothing to attenuate.
+        # Capped, so that a phase function that is all forward peak still attenuates.
         forward = jnp.where(second > 0.995 * b, 0.995 * b, second)
-        self.softened = Softened(water.a + b, water.a + self.b_star, forward, _AUREOLE)
+        self.attenuation = ScaledAttenuation(water.a + b, water.a + self.b_star, forward, _AUREOLE)
 
 
-class Terms(eqx.Module):
+class MomentTerms(eqx.Module):
     """Coefficients of one moment of the diffuse field; a term that is None does not exist."""
 
     decay: Float[Array, " wl"]
@@ -56,21 +60,34 @@ class Terms(eqx.Module):
         return total
 
 
-class Field(AbstractField):
+class TwoMomentField(AbstractDiffuseField):
     """`K`: diffuse attenuation (1/m); `e`, `f`: moments; `b_star`, `bg_star`: scattering (1/m)."""
 
-    water: Softened
+    attenuation: ScaledAttenuation
     b_star: Float[Array, " wl"]
     bg_star: Float[Array, " wl"]
     K: Float[Array, " wl"]
     mu0: Float[Array, ""]
     beam: Float[Array, " wl"]
-    e: Terms
-    f: Terms
+    e: MomentTerms
+    f: MomentTerms
     bottom: Float[Array, ""] | None
 
-    def __init__(self, scaled: Scaled, K, mu0, beam, e: Terms, f: Terms, bottom=None):
-        self.water, self.b_star, self.bg_star = scaled.softened, scaled.b_star, scaled.bg_star
+    def __init__(
+        self,
+        scaled_water: DeltaScaledWater,
+        K,
+        mu0,
+        beam,
+        e: MomentTerms,
+        f: MomentTerms,
+        bottom=None,
+    ):
+        self.attenuation, self.b_star, self.bg_star = (
+            scaled_water.attenuation,
+            scaled_water.b_star,
+            scaled_water.bg_star,
+        )
         self.K, self.mu0, self.beam = K, mu0, beam
         self.e, self.f, self.bottom = e, f, bottom
 
@@ -94,7 +111,9 @@ class Field(AbstractField):
 
         return self.e(*shared, grow), self.f(*shared, slope)
 
-    def multiple(self, path: Path, direction: Float[Array, "ray 3"]) -> Float[Array, "ray wl"]:
+    def multiply_scattered(
+        self, path: Path, direction: Float[Array, "ray 3"]
+    ) -> Float[Array, "ray wl"]:
         k = self.K[None, :]
         decaying = path.decay(k)
         shared = (

@@ -1,4 +1,4 @@
-"""The four-stream model: a closed form from a and b that knows azimuth and steepness."""
+"""The four-stream model: a closed form from a and b with two streams per hemisphere and azimuth."""
 
 import jax
 import jax.numpy as jnp
@@ -16,7 +16,12 @@ from oceaninv.transport.base import (
     homogeneous,
 )
 from oceaninv.transport.closed_form import _four_stream_algebra as nodes
-from oceaninv.transport.closed_form._ray_integral import AbstractField, Path, Softened, radiance
+from oceaninv.transport.closed_form._ray_integral import (
+    AbstractDiffuseField,
+    Path,
+    ScaledAttenuation,
+    radiance,
+)
 
 # The correction of the slowest mode's K fades where k differs from k0 by less than this share.
 _FADE = 0.1
@@ -56,15 +61,15 @@ class FourStream(AbstractTransport):
         return Irradiance(*(deterministic(e) for e in solve(scene, 1).irradiance(depths)))
 
 
-class Field(AbstractField):
-    """A four-stream light field; see `_four_nodes` for its modes.
+class FourStreamField(AbstractDiffuseField):
+    """A four-stream light field; see `_four_stream_algebra` for its modes.
 
-    `gain`: scattering, 1/m; `K`: attenuation of the modes, 1/m, and `ratio`: what it would be
-    without correction over K; `decay`, `mixed`, `grow`: amplitudes of e^(-K z), g(z) and s(z);
-    `driven`: d at the nodes of the light that falls off as the beam does.
+    `gain`: scattering, 1/m; `K`: attenuation of the modes, 1/m; `ratio`: its value without the
+    correction over K; `decay`, `mixed`, `grow`: amplitudes of e^(-K z), g(z) and s(z); `driven`: d
+    at the nodes of the light that decays with the sunbeam.
     """
 
-    water: Softened
+    attenuation: ScaledAttenuation
     modes: nodes.Modes
     gain: Float[Array, "4 wl"]
     K: Float[Array, "order mode wl"]
@@ -87,7 +92,7 @@ class Field(AbstractField):
             fading = decay[None, :] * decaying + mixed[None, :] * driven
             value, slope = fading, -k[None, :] * fading
             if grow is not None:
-                value = value + (self.water.c_star * grow)[None, :] * growing[0]
+                value = value + (self.attenuation.c_star * grow)[None, :] * growing[0]
                 slope = slope + (ratio * grow)[None, :] * growing[1]
             return value, slope
 
@@ -120,7 +125,9 @@ class Field(AbstractField):
         down = 0.5 * (both + net) + self.mu0 * sun
         return down, 0.5 * (both - net), over_nodes(nodes.WEIGHT, s) + sun
 
-    def multiple(self, path: Path, direction: Float[Array, "ray 3"]) -> Float[Array, "ray wl"]:
+    def multiply_scattered(
+        self, path: Path, direction: Float[Array, "ray 3"]
+    ) -> Float[Array, "ray wl"]:
         """Radiance scattered into rays from the diffuse field."""
 
         def functions(K):
@@ -149,16 +156,16 @@ class Field(AbstractField):
         return total
 
 
-def solve(scene: Scene, orders: int) -> Field:
+def solve(scene: Scene, orders: int) -> FourStreamField:
     """The field of a scene with one homogeneous water: azimuth order 0, or 0 and 1."""
-    water = nodes.Truncated(homogeneous(scene))
+    water = nodes.TruncatedWater(homogeneous(scene))
     gain = water.gain_per_depth
     mu0, beam = scene.beam()
-    c_star = water.softened.c_star
+    c_star = water.attenuation.c_star
 
     def least(squared):
-        # Over a floor the light field is regular in k^2 while the root's slope at 0 is infinite: a
-        # least value that nothing feels, passed by the derivative, keeps it right at a = 0.
+        # Over a floor the light field is regular in k^2, but the slope of the root at 0 is
+        # infinite.  A negligible least value without derivative keeps derivatives right at a = 0.
         if scene.floor is None:
             return squared
         least = 2e-14 if squared.dtype == jnp.float64 else 1e-9
@@ -171,8 +178,8 @@ def solve(scene: Scene, orders: int) -> Field:
     forced = forced / (k0 + k)[:, :, None]
     driven = -nodes.product(modes.D_inverse, nodes.product(modes.s, forced) + q_d)[:, :, 0]
     forced = forced[:, :, 0]
-    # The exponent of the slowest mode is corrected, though not where it meets the beam's: there
-    # only the limit of both together is finite.
+    # The exponent of the slowest mode is corrected, except near that of the beam, where only the
+    # limit of both terms together is finite.
     apart = (k0 - k) / (_FADE * k0)
     slowest = jnp.asarray(np.array([[1.0, 0.0], [0.0, 0.0]])[:orders, :, None], k.dtype)
     excess = slowest * water.correction[None, None, :]
@@ -180,8 +187,8 @@ def solve(scene: Scene, orders: int) -> Field:
     stretch = 1.0 - excess * jnp.expm1(-(apart**4))
     parts = (k * stretch, 1.0 / stretch, k0, forced, driven, mu0 * beam)
     decay, grow = _amplitudes(scene, c_star, modes, *parts)
-    return Field(
-        water=water.softened,
+    return FourStreamField(
+        attenuation=water.attenuation,
         modes=modes,
         gain=water.gain,
         K=k * stretch * c_star[None, None, :],
@@ -221,7 +228,7 @@ def _amplitudes(scene: Scene, c_star, modes: nodes.Modes, K, ratio, k0, forced, 
     flux = jnp.asarray(nodes.FLUX[None, :, None, None], dtype)
 
     def up(s, d):
-        """Twice the light that leaves the floor, less what it returns of the light it gets."""
+        """Twice the light that leaves the floor, less the share that the floor reflects."""
         return s - d - returned * jnp.sum(flux * (s + d), axis=1, keepdims=True)
 
     # Columns of the modes that grow: s(t) and s'(t) at either end.
@@ -245,8 +252,8 @@ def _amplitudes(scene: Scene, c_star, modes: nodes.Modes, K, ratio, k0, forced, 
 def _surface(scene: Scene, dtype) -> tuple[Float[Array, "node"], Float[Array, "node wl"] | None]:
     """Reflectance at the nodes from below, and the light of the sky that enters there.
 
-    The flatter node is reflected wholly, the steeper one so much that uniform light is reflected
-    right; by reversal a sky L enters as (1 - reflectance) n^2 L."""
+    The flatter node is reflected totally; the reflectance of the steeper one makes that of uniform
+    light right.  By reciprocity a sky L enters as (1 - reflectance) n^2 L."""
     sky, reflected, refracted = scene.light.diffuse, jnp.zeros((2,), dtype), jnp.ones((), dtype)
     if scene.surface is not None:
         index = scene.surface.index.astype(dtype)

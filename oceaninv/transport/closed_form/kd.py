@@ -14,7 +14,11 @@ from oceaninv.transport.base import (
     homogeneous,
 )
 from oceaninv.transport.closed_form._ray_integral import radiance
-from oceaninv.transport.closed_form._two_moment_field import Field, Scaled, Terms
+from oceaninv.transport.closed_form._two_moment_field import (
+    DeltaScaledWater,
+    MomentTerms,
+    TwoMomentField,
+)
 from oceaninv.water.attenuation import irradiance_reflectance, kd_lee2005
 from oceaninv.water.iops import check_concrete
 
@@ -67,7 +71,7 @@ class KdTransport(AbstractTransport):
         """Ed(0-), R = Eu/Ed and Kd, each (wl,)."""
         if scene.floor is not None or scene.light.diffuse is not None:
             raise ValueError(
-                "KdTransport knows neither floor nor sky: use TwoStream, or leave them out."
+                "KdTransport solves neither floor nor sky: use TwoStream, or leave them out."
             )
         water = homogeneous(scene)
         mu0, beam = scene.beam()
@@ -79,18 +83,18 @@ class KdTransport(AbstractTransport):
             down = down / (1.0 - inner * reflectance)
         return down, reflectance, kd
 
-    def _field(self, scene: Scene) -> Field:
+    def _field(self, scene: Scene) -> TwoMomentField:
         down, reflectance, kd = self._surface(scene)
         medium = homogeneous(scene)
         mu0, beam = scene.beam()
         net = (1.0 - reflectance) * down
-        return Field(
-            Scaled(medium),
+        return TwoMomentField(
+            DeltaScaledWater(medium),
             K=kd,
             mu0=mu0,
             beam=beam,
-            e=Terms(kd / medium.a * net, -beam),
-            f=Terms(net, -mu0 * beam),
+            e=MomentTerms(kd / medium.a * net, -beam),
+            f=MomentTerms(net, -mu0 * beam),
         )
 
 

@@ -18,7 +18,11 @@ from oceaninv.transport.base import (
     homogeneous,
 )
 from oceaninv.transport.closed_form._ray_integral import radiance
-from oceaninv.transport.closed_form._two_moment_field import Field, Scaled, Terms
+from oceaninv.transport.closed_form._two_moment_field import (
+    DeltaScaledWater,
+    MomentTerms,
+    TwoMomentField,
+)
 from oceaninv.water.attenuation import irradiance_reflectance
 
 _ROOT3 = 3.0**0.5
@@ -44,8 +48,8 @@ class TwoStream(AbstractTransport):
 
     Upward irradiance does not come from the two-stream field (it would be a third too bright)
     but from a fit of R = Eu/Ed plus the light that the floor sends up.  Ed is the field's net flux
-    plus that, with a correction in three constants for what one diffuse exponential cannot follow;
-    for irradiance the sky is a second beam.
+    plus that, with a correction of three constants for the shape that a single diffuse exponential
+    cannot represent; for irradiance the sky is a second beam.
     """
 
     in_pieces = True
@@ -86,7 +90,7 @@ def _beams(scene: Scene):
     return beams
 
 
-def _own(field: Field, depths: Float[Array, " depth"], floor: Floor | None) -> tuple:
+def _own(field: TwoMomentField, depths: Float[Array, " depth"], floor: Floor | None) -> tuple:
     """The two-stream's own Ed, its net downward and scalar irradiance and the sun's part of Ed."""
     e, f = field.moments(depths)
     if floor is not None and e.dtype == jnp.float32:
@@ -96,15 +100,15 @@ def _own(field: Field, depths: Float[Array, " depth"], floor: Floor | None) -> t
     return 0.5 * (e / _ROOT3 + f) + sun, f + sun, e + beam, sun
 
 
-def _from_floor(field: Field, floor: Floor, depths, e):
-    """The diffuse E near a dark floor, without the sum of large terms that has little left there.
+def _from_floor(field: TwoMomentField, floor: Floor, depths, e):
+    """The diffuse E near a dark floor, without the sum of large terms that cancel there.
 
     Single precision loses E at a floor many transport lengths down, but not F, whose terms have one
     sign: the floor's own balance gives E there, and the two-stream's equations lead up from it.
     Where sunlight still arrives, above one diffuse length from the floor, and over a floor that is
     brighter than endless water, the sum itself is well conditioned.
     """
-    spread = field.water.c_star - field.bg_star
+    spread = field.attenuation.c_star - field.bg_star
     rho, root = floor.reflectance, _ROOT3 * (1.0 + floor.reflectance)
     flux = field.moments(floor.depth[None])[1]
     sun = field.mu0 * field.direct(floor.depth[None])
@@ -118,12 +122,12 @@ def _from_floor(field: Field, floor: Floor, depths, e):
     return jnp.where(near, at_floor * jnp.cosh(x) + rise, e)
 
 
-def _plane(field: Field, scene: Scene, depths):
+def _plane(field: TwoMomentField, scene: Scene, depths):
     """Ed, Eu and E0 of one beam, each (depth, wl)."""
     water = homogeneous(scene)
     a, bb = water.a, water.bb
     own, net, scalar, sun = _own(field, depths, scene.floor)
-    # R depends on how steeply light comes down: from the sun's cosine to a diffuse field's 0.7.
+    # R depends on the mean cosine of the downward light, from the sun's to 0.7 of a diffuse field.
     share = 1.0 - safe_ratio(sun, own)
     cosine = jnp.maximum(field.mu0 + share * (0.7 - field.mu0), 0.4)
     reflectance = irradiance_reflectance(a, bb, 1.0)[None, :] / cosine**1.314
@@ -150,9 +154,9 @@ def _plane(field: Field, scene: Scene, depths):
     return down, up, scalar
 
 
-def _lag(field: Field, a, q):
-    """ln of exact over two-stream Ed where light has fallen to e^(-q): one exponential of diffuse
-    light first keeps too much of a slanting sun's light, then loses it.
+def _lag(field: TwoMomentField, a, q):
+    """ln of exact over two-stream Ed at the depth where light has decayed to e^(-q).  Under a
+    slanting sun, the single diffuse exponential first gives too much light, then too little.
 
     Three constants fitted to the exact model in 1248 random waters (Henyey-Greenstein 0.75-0.95,
     Petzold, Fournier-Forand of 0.6-3 % backscatter; albedo 0.2-0.97, sun to 60 degrees under
@@ -164,23 +168,23 @@ def _lag(field: Field, a, q):
     return slant[None, :] * q * (_LAG[1] + _LAG[2] * q)
 
 
-def solve(scene: Scene, beam=None) -> Field:
+def solve(scene: Scene, beam=None) -> TwoMomentField:
     """The two-stream field of a scene with one homogeneous water.
 
     `beam`: the only light, (cosine of its zenith, irradiance normal to it); by default the sun,
     and the sky as diffuse light.
     """
     medium = homogeneous(scene)
-    water, a = Scaled(medium), medium.a
-    c_star = water.softened.c_star
+    water, a = DeltaScaledWater(medium), medium.a
+    c_star = water.attenuation.c_star
     diffuse = scene.light.diffuse if beam is None else None
     mu0, beam = scene.beam() if beam is None else beam
     # Transport coefficient a + b (1 - chi_1): positive unless the water is a vacuum.
     spread = jnp.maximum(c_star - water.bg_star, float(np.finfo(a.dtype).tiny) ** 0.5)
     squared = 3.0 * a * spread
     if scene.floor is not None:
-        # Over a floor the light field is regular in K^2 while the root's slope at 0 is infinite: a
-        # least value that nothing feels, passed by the derivative, keeps it right at a = 0.
+        # Over a floor the light field is regular in K^2, but the slope of the root at 0 is
+        # infinite.  A negligible least value without derivative keeps derivatives right at a = 0.
         least = (2e-14 if a.dtype == jnp.float64 else 1e-9) * jnp.minimum(spread**2, 1.0)
         squared = squared + jax.lax.stop_gradient(jnp.maximum(least - squared, 0.0))
     K = safe_sqrt(squared)
@@ -209,13 +213,13 @@ def solve(scene: Scene, beam=None) -> Field:
         decaying, growing = _over_floor(
             scene.floor, K, k0, mu0, ratio, spread, beam, mixed, flux_beam, top_e, top_f, entering
         )
-    return Field(
+    return TwoMomentField(
         water,
         K=K,
         mu0=mu0,
         beam=beam,
-        e=Terms(decaying, None, mixed, None if growing is None else 3.0 * spread * growing),
-        f=Terms(
+        e=MomentTerms(decaying, None, mixed, None if growing is None else 3.0 * spread * growing),
+        f=MomentTerms(
             ratio * decaying,
             flux_beam,
             ratio * mixed,
@@ -226,9 +230,8 @@ def solve(scene: Scene, beam=None) -> Field:
 
 
 def _over_floor(floor, K, k0, mu0, ratio, spread, beam, mixed, flux_beam, top_e, top_f, entering):
-    """Amplitudes of what decays from the surface and of what grows to the floor.
-
-    The second is regular where K = 0, unlike the exponential e^(-K (T - z)) alone."""
+    """Amplitudes of the function that decays from the surface and of the one that grows towards the
+    floor.  The second is regular where K = 0, unlike the exponential e^(-K (T - z)) alone."""
     depth, rho = floor.depth, floor.reflectance
     across = jnp.exp(-K * depth)
     sun = jnp.exp(-k0 * depth)

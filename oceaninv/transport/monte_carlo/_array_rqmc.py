@@ -1,10 +1,10 @@
-"""Walks in order: a whole group takes the points of one low-discrepancy set at every event.
+"""Array-RQMC: a sorted group of walks takes the points of one low-discrepancy set at every event.
 
-Array-RQMC (L'Ecuyer, Lecot & Tuffin 2008, Oper. Res. 56:958): the walks of a group are put in the
-order of where they are and where they head, along a curve, and take the points of a scrambled net
-in that order.  Neighbours then draw different numbers, and the group as a whole stays closer to
-what is expected of it than chance would have it.  Every walk's numbers are uniform and independent
-of what it was, so that all estimates stay unbiased; groups are independent of each other.
+The walks of a group are sorted by position and direction along a space-filling curve and take the
+points of a scrambled net in that order (L'Ecuyer, Lecot & Tuffin 2008, Oper. Res. 56:958).
+Neighbours thus draw different numbers, and the variance of the group's mean is smaller than that of
+independent walks.  The numbers of every walk are uniform and independent of its history, so that
+all estimates are unbiased; groups are independent of each other.
 """
 
 from collections.abc import Callable
@@ -19,11 +19,11 @@ from jaxtyping import Array, Float, Int, UInt32
 from oceaninv.foundation.numerics import safe_sqrt
 from oceaninv.transport.monte_carlo import _weights
 from oceaninv.transport.monte_carlo._random_numbers import hashed, uniforms
-from oceaninv.transport.monte_carlo._random_walk import Lanes
+from oceaninv.transport.monte_carlo._random_walk import WalkBatch
 
-NUMBERS = 6  # of a point: four for the walk itself, two to spare
-_DRAW = 0x2C1B3C6D  # sets the drawing anew apart
-_SCRAMBLE = (0x3C6EF372, 0x1F83D9AB, 0x5BE0CD19)  # and the scrambles
+NUMBERS = 6  # coordinates of a point: four for the walk itself, two for other uses
+_DRAW = 0x2C1B3C6D  # separates the random stream of the resampling
+_SCRAMBLE = (0x3C6EF372, 0x1F83D9AB, 0x5BE0CD19)  # and those of the scrambles
 # Primitive polynomials and initial direction numbers of Joe & Kuo (2008, SIAM J. Sci. Comput.
 # 30:2635), dimensions 2 to 7: degree, inner coefficients, numbers.
 _DIRECTIONS = (
@@ -37,18 +37,21 @@ _DIRECTIONS = (
 _DEPTH_BITS = 11  # of each coordinate along the curve
 
 
-class Order(NamedTuple):
-    """How walks are put in order and drawn anew: `height`, where a walk is, from 0 to 1; `worth`,
-    what it may still bring relative to its weight, and `rate`, at which its next flight is drawn
-    relative to the proposal's: None where walks stay as they are."""
+class SortOrder(NamedTuple):
+    """How walks are sorted and resampled.
 
-    height: Callable[[Lanes], Array]
-    worth: Callable[[Lanes], Array] | None
-    rate: Callable[[Lanes], Array] | None
+    `height`: position of a walk from 0 to 1; `importance`: its expected further contribution
+    relative to its weight; `rate`: rate at which its next flight is drawn, relative to the
+    proposal's.  The last two are None where walks are not resampled.
+    """
+
+    height: Callable[[WalkBatch], Array]
+    importance: Callable[[WalkBatch], Array] | None
+    rate: Callable[[WalkBatch], Array] | None
 
 
 def _reversed(word):
-    """The 32 bits of a word from last to first."""
+    """The 32 bits of a word in reverse order."""
     for shift, mask in ((1, 0x55555555), (2, 0x33333333), (4, 0x0F0F0F0F), (8, 0x00FF00FF)):
         s, m = np.uint32(shift), np.uint32(mask)
         word = ((word >> s) & m) | ((word & m) << s)
@@ -57,8 +60,9 @@ def _reversed(word):
 
 @lru_cache
 def net(count: int) -> np.ndarray:
-    """(number, point) Sobol's points, a power of 2 of them, in the order of the first coordinate,
-    which is left out: it is the walk's place in the order.  As words of reversed bits."""
+    """(number, point) Sobol points as words of reversed bits, in the order of their first
+    coordinate.  That coordinate is the place of a walk in the sorted order and is left out.
+    `count` is a power of 2."""
     bits = count.bit_length() - 1
     index = np.arange(count, dtype=np.uint32)
     place = _reversed(index) >> np.uint32(32 - bits) if bits else index
@@ -82,11 +86,13 @@ def points(
     count: int,
     dtype,
     which: tuple[int, ...] = tuple(range(NUMBERS)),
-) -> tuple[Float[Array, "unit lane"], ...]:
-    """Numbers in (0, 1) of the points of one net per unit and event, each scrambled by itself:
-    a hash in which no bit depends on lower ones (Laine & Karras 2011, Comput. Graph. Forum
-    30:1265), which stands for Owen's scrambling."""
-    # The scramble asks most of a seed's lowest bits, where our hash mixes least.
+) -> tuple[Float[Array, "unit walk"], ...]:
+    """Numbers in (0, 1): the points of one net per unit and event, scrambled independently.
+
+    The scramble is a hash in which no bit depends on lower ones (Laine & Karras 2011, Comput.
+    Graph. Forum 30:1265), an approximation of Owen's scrambling.
+    """
+    # The scramble relies most on a seed's lowest bits, which our hash mixes least.
     seeds = [
         _reversed(seed)
         for key in _SCRAMBLE
@@ -111,43 +117,48 @@ def _sparse(word: UInt32[Array, "..."]) -> UInt32[Array, "..."]:
 
 
 def places(
-    height: Float[Array, "unit lane"], steepness: Float[Array, "unit lane"]
-) -> Int[Array, "unit lane"]:
+    height: Float[Array, "unit walk"], steepness: Float[Array, "unit walk"]
+) -> Int[Array, "unit walk"]:
     """Lanes along Morton's curve through the square of two coordinates from 0 to 1."""
     count = height.shape[1]
     top = 2**_DEPTH_BITS
     cells = [jnp.clip(v * top, 0, top - 1).astype(jnp.uint32) for v in (height, steepness)]
     curve = _sparse(cells[0]) | (_sparse(cells[1]) << jnp.uint32(1))
-    # The lane's own number goes along in the last bits: one word is sorted, ties keep their order.
+    # The last bits hold the index of the walk: one word is sorted, and ties keep their order.
     bits = (count - 1).bit_length()
     coarse = jnp.uint32(max(bits + 2 * _DEPTH_BITS - 32, 0))
-    lane = jnp.arange(count, dtype=jnp.uint32)[None, :]
-    key = ((curve >> coarse) << jnp.uint32(bits)) | lane
+    walk = jnp.arange(count, dtype=jnp.uint32)[None, :]
+    key = ((curve >> coarse) << jnp.uint32(bits)) | walk
     return (jnp.sort(key, axis=1) & jnp.uint32(2**bits - 1)).astype(jnp.int32)
 
 
-def ordered(
-    lanes: Lanes,
-    order: Order,
+def sorted_and_resampled(
+    walks: WalkBatch,
+    order: SortOrder,
     unit: UInt32[Array, " unit"],
     event: UInt32[Array, ""],
     words: UInt32[Array, " 2"],
-) -> Lanes:
-    """The lanes of every unit in order and, where they have a worth, drawn anew by it; moved and
-    turned to one vertical plane, which horizontally uniform light does not tell from another."""
-    fixed = jax.lax.stop_gradient(lanes)
+) -> WalkBatch:
+    """The walks of every unit, sorted and, if `order` has an importance, resampled by it.
+
+    They are moved to one vertical line and turned into one vertical plane, which changes nothing in
+    horizontally uniform light.
+    """
+    fixed = jax.lax.stop_gradient(walks)
     place = places(order.height(fixed), 0.5 * (1.0 + fixed.direction[2]))
     copies = None
-    if order.worth is not None:
-        u = uniforms(unit, event, words ^ jnp.uint32(_DRAW), lanes.weight.dtype)[0]
-        importance = jnp.take_along_axis(fixed.weight * order.worth(fixed), place, axis=1)
-        chosen, copies = _weights.chosen(importance, importance.shape[1], u)
-        place = jnp.take_along_axis(place, chosen, axis=1)
-    # Where across and whereto in azimuth is no matter: that is not carried along.
-    lanes = lanes._replace(
-        position=(None, None, lanes.position[2]), direction=(None, None, lanes.direction[2])
+    if order.importance is not None:
+        u = uniforms(unit, event, words ^ jnp.uint32(_DRAW), walks.weight.dtype)[0]
+        importance = jnp.take_along_axis(fixed.weight * order.importance(fixed), place, axis=1)
+        systematic_resampling, copies = _weights.systematic_resampling(
+            importance, importance.shape[1], u
+        )
+        place = jnp.take_along_axis(place, systematic_resampling, axis=1)
+    # Horizontal position and azimuth do not matter and are not carried along.
+    walks = walks._replace(
+        position=(None, None, walks.position[2]), direction=(None, None, walks.direction[2])
     )
-    lanes = _weights.taken(lanes, place, copies)
-    depth, steep = lanes.position[2], lanes.direction[2]
+    walks = _weights.resample(walks, place, copies)
+    depth, steep = walks.position[2], walks.direction[2]
     level, zero = safe_sqrt(jnp.maximum(1.0 - steep**2, 0.0)), jnp.zeros_like(steep)
-    return lanes._replace(position=(zero, zero, depth), direction=(level, zero, steep))
+    return walks._replace(position=(zero, zero, depth), direction=(level, zero, steep))

@@ -1,4 +1,4 @@
-"""Walks from the eye towards the light: the radiance along rays."""
+"""Backward walks, from the eye towards the light: the radiance along rays."""
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -9,18 +9,18 @@ from oceaninv.foundation.interface_optics import Rays
 from oceaninv.scene.scene import Scene
 from oceaninv.transport.base import Estimate
 from oceaninv.transport.monte_carlo import _event_loop, _weights
-from oceaninv.transport.monte_carlo._backward_inelastic import shifted
+from oceaninv.transport.monte_carlo._backward_inelastic import backward_inelastic
 from oceaninv.transport.monte_carlo._direct_light import arrivals
-from oceaninv.transport.monte_carlo._event_loop import GROUP, Plan, World
+from oceaninv.transport.monte_carlo._event_loop import GROUP, TracedScene, WalkSettings
 from oceaninv.transport.monte_carlo._geometry_derivative_guard import fixed_rays, fixed_scene
 from oceaninv.transport.monte_carlo._random_numbers import Vector
 from oceaninv.transport.monte_carlo._random_walk import Proposal
 
 
-def _scattered(scene: Scene, world: World, before, after, vertex) -> Float[Array, "... wl"]:
+def _scattered(scene: Scene, world: TracedScene, before, after, vertex) -> Float[Array, "... wl"]:
     """Direct light scattered towards the eye where the flight ended in the water."""
     found = jnp.zeros((*after.weight.shape, len(scene.wavelength)), after.weight.dtype)
-    # This scattering is the last, and in `turned`: it does not count among the earlier ones.
+    # This scattering is the last one; `turned` holds its factor, so it is not counted again.
     arrived = after._replace(counts=before.counts)
     for light in arrivals(scene, world.domain, after.position):
         cosine = _dot(light.towards, before.direction)
@@ -30,7 +30,7 @@ def _scattered(scene: Scene, world: World, before, after, vertex) -> Float[Array
     return after.weight[..., None] * found
 
 
-def _boundary(scene: Scene, world: World, before, ahead) -> Float[Array, "... wl"]:
+def _boundary(scene: Scene, world: TracedScene, before, ahead) -> Float[Array, "... wl"]:
     """The sky through the surface, or the lit floor or object, as seen at the flight's end."""
     domain = world.domain
     weight = before.weight[..., None]
@@ -72,11 +72,11 @@ def radiance(
     scene: Scene,
     rays: Rays,
     words: UInt32[Array, " 2"],
-    plan: Plan,
+    plan: WalkSettings,
     proposal: Proposal | None,
-    generations: int = 1,
+    inelastic_orders: int = 1,
 ) -> Estimate:
-    """(ray, wl), with `generations` of inelastic light."""
+    """(ray, wl), with `inelastic_orders` orders of inelastic light."""
     scene, rays = fixed_scene(scene), fixed_rays(rays)
     world = _event_loop.world(scene, words, proposal)
     groups = -(-plan.paths // GROUP)
@@ -84,13 +84,13 @@ def radiance(
     lit = scene.floor is not None or scene.objects
     bounded = lit or scene.light.diffuse is not None
 
-    def each_lane(world, before, ahead, after, vertex):
+    def each_walk(world, before, ahead, after, vertex):
         found = _scattered(scene, world, before, after, vertex)
         return found + _boundary(scene, world, before, ahead) if bounded else found
 
     def score(world, before, ahead, after, vertex, t):
         del t
-        return jnp.sum(each_lane(world, before, ahead, after, vertex), axis=1)
+        return jnp.sum(each_walk(world, before, ahead, after, vertex), axis=1)
 
     def stand(unit):
         ray = (unit // jnp.uint32(groups)).astype(jnp.int32)
@@ -101,7 +101,7 @@ def radiance(
         limit = rays.length
         if limit is not None:
             limit = jnp.broadcast_to(limit[ray][:, None], (len(unit), GROUP))
-        return _event_loop.standing(
+        return _event_loop.initial_state(
             world.domain, position, direction, _event_loop.carried(scene), limit
         )
 
@@ -110,7 +110,7 @@ def radiance(
         return _event_loop.walk(world, stand(unit), unit, plan, score, blank)[0]
 
     def inelastic(unit):
-        return shifted(scene, world, stand, each_lane, plan, generations, unit)
+        return backward_inelastic(scene, world, stand, each_walk, plan, inelastic_orders, unit)
 
     found = []
     for run in (elastic,) if scene.inelastic is None else (elastic, inelastic):

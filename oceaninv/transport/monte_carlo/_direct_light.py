@@ -1,4 +1,4 @@
-"""What shines directly on a point under water: the sunbeam, and lamps with their mirror images."""
+"""Direct light on a point under water: the sunbeam, and lamps with their mirror images."""
 
 from typing import NamedTuple
 
@@ -16,8 +16,11 @@ from oceaninv.transport.monte_carlo._random_walk import Domain, by_layer, each
 
 
 class Arrival(NamedTuple):
-    """Light that comes straight to points: the directions `towards` its source, its irradiance
-    across itself without attenuation, `spectrum` (..., wl), and its way through each layer."""
+    """Light that comes straight to points.
+
+    `towards`: directions to its source; `spectrum`: irradiance normal to the beam, without
+    attenuation, (..., wl); `lengths`: path length in each layer, m.
+    """
 
     towards: Vector
     spectrum: Float[Array, "... wl"]
@@ -25,7 +28,7 @@ class Arrival(NamedTuple):
 
 
 def arrivals(scene: Scene, domain: Domain, position: Vector) -> list[Arrival]:
-    """Everything that shines on points, shadows of objects included."""
+    """All direct light on points, shadows of objects included."""
     found = [_sun(scene, domain, position)]
     for lamp in scene.lamps:
         found.append(_lamp(lamp, domain, position))
@@ -59,7 +62,7 @@ def _sun(scene: Scene, domain: Domain, position: Vector) -> Arrival:
 
 
 def _shine(lamp: AbstractLamp, travel: Vector, distance: Array) -> Float[Array, "... wl"]:
-    """Irradiance across the light that travels along `travel`, without attenuation."""
+    """Irradiance normal to light that travels along `travel`, without attenuation."""
     intensity = each(lambda v: lamp.along(v), travel)
     squared = jnp.maximum(distance**2, jnp.finfo(distance.dtype).tiny)
     return intensity / squared[..., None]

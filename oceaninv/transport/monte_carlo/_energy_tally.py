@@ -1,4 +1,4 @@
-"""What walks leave behind in the water, at the floor and above the surface, band by band."""
+"""Tallies of the energy that walks deposit in the water, at the floor and above the surface."""
 
 from typing import NamedTuple
 
@@ -8,18 +8,20 @@ from jaxtyping import Array, Float, UInt32
 
 from oceaninv.scene.scene import Scene
 from oceaninv.transport.monte_carlo import _event_loop, _random_walk, _weights
-from oceaninv.transport.monte_carlo._event_loop import GROUP, Plan, World
+from oceaninv.transport.monte_carlo._event_loop import GROUP, TracedScene, WalkSettings
 from oceaninv.transport.monte_carlo._forward import Entry, enter, entry, split
-from oceaninv.transport.monte_carlo._forward_inelastic import coloured, converted
-from oceaninv.transport.monte_carlo._random_walk import Domain, Flight, Lanes, Proposal
+from oceaninv.transport.monte_carlo._forward_inelastic import forward_inelastic, with_spectra
+from oceaninv.transport.monte_carlo._random_walk import Domain, Flight, Proposal, WalkBatch
 
 _ENDLESS = 1e30  # metres
 
 
 class Tracks(NamedTuple):
-    """Of every group of walks, last axis wl.  `light` (group, layer, wl): scalar irradiance over
-    the depth of each layer, W m-1; `escaped` through the surface, `floor`: what reaches it, `left`
-    after the last event, `entered`: (group, wl), W m-2."""
+    """Energy of every group of walks.
+
+    `light`: scalar irradiance integrated over the depth of each layer, W m-1; the others in W m-2:
+    `escaped` through the surface, `floor`: arriving there, `left` after the last event, `entered`.
+    """
 
     light: Float[Array, "group layer wl"]
     escaped: Float[Array, "group wl"]
@@ -28,13 +30,13 @@ class Tracks(NamedTuple):
     entered: Float[Array, "group wl"]
 
 
-def _nowhere(lanes: Lanes) -> tuple[Array, ...]:
-    return tuple(jnp.zeros_like(s) for s in lanes.lengths)
+def _nowhere(walks: WalkBatch) -> tuple[Array, ...]:
+    return tuple(jnp.zeros_like(s) for s in walks.lengths)
 
 
-def _lengths(domain: Domain, lanes: Lanes, ahead: Flight) -> list[Array]:
-    """Metres in each layer of the way ahead, endless ones included."""
-    z, mu = lanes.position[2], lanes.direction[2]
+def _lengths(domain: Domain, walks: WalkBatch, ahead: Flight) -> list[Array]:
+    """Length of the way ahead in each layer, m, `_ENDLESS` included."""
+    z, mu = walks.position[2], walks.direction[2]
     level = jnp.abs(mu) < _random_walk.LEVEL
     steep = jnp.where(level, 1.0, jnp.abs(mu))
     own = _random_walk.layer_of(domain, z)
@@ -48,10 +50,10 @@ def _lengths(domain: Domain, lanes: Lanes, ahead: Flight) -> list[Array]:
     return parts
 
 
-def _deposit(world: World, lanes: Lanes, ahead: Flight, energy: Array):
-    """(light by layer, escaped, floor) of flights, expected values, summed over a unit's lanes.
-    `energy`: (unit, lane, wl)."""
-    lengths, c = _lengths(world.domain, lanes, ahead), world.medium.c
+def _deposit(world: TracedScene, walks: WalkBatch, ahead: Flight, energy: Array):
+    """(light by layer, escaped, floor) of flights: expected values, summed over a unit's walks.
+    `energy`: (unit, walk, wl)."""
+    lengths, c = _lengths(world.domain, walks, ahead), world.medium.c
     optical = [_weights.outer(s, own) for s, own in zip(lengths, c, strict=True)]
     down, up, both = [jnp.zeros_like(energy)], [jnp.zeros_like(energy)], ahead.up[..., None]
     for own in optical[:-1]:
@@ -71,35 +73,35 @@ def _deposit(world: World, lanes: Lanes, ahead: Flight, energy: Array):
     return light, jnp.sum(out * whole, axis=1), jnp.sum(jnp.where(low, whole, 0.0), axis=1)
 
 
-def _of(world: World, lanes: Lanes, spectrum: Array) -> Array:
-    """Energy of walks, (unit, lane, wl)."""
-    inside = _weights.attenuated(world.medium, lanes, _nowhere(lanes))
-    return lanes.weight[..., None] * inside * spectrum[:, None, :]
+def _of(world: TracedScene, walks: WalkBatch, spectrum: Array) -> Array:
+    """Energy of walks, (unit, walk, wl)."""
+    inside = _weights.attenuated(world.medium, walks, _nowhere(walks))
+    return walks.weight[..., None] * inside * spectrum[:, None, :]
 
 
 def elastic(
     scene: Scene,
     words: UInt32[Array, " 2"],
-    plan: Plan,
+    plan: WalkSettings,
     proposal: Proposal | None,
     width: Float[Array, " wl"],
 ) -> tuple[list[Tracks], Float[Array, "group event"]]:
-    """Tracks of each source's light, inelastic events counted as absorption; what is gone from
-    the water between one event and the next, in all bands."""
+    """Tracks of the light of each source, inelastic events counted as absorption; and the energy
+    lost from the water between one event and the next, summed over bands."""
     world = _event_loop.world(scene, words, proposal)
     light, groups = _entry(scene, plan)
     waters, bands = _weights.waters(scene), len(scene.wavelength)
-    taken = jnp.stack([w.a for w in waters])
+    absorption = jnp.stack([w.a for w in waters])
     black = jnp.ones(bands) if scene.floor is None else 1.0 - scene.floor.reflectance
 
     def run(unit):
-        lanes, _, spectrum = enter(world, light, unit, groups, _event_loop.carried(scene))
+        walks, _, spectrum = enter(world, light, unit, groups, _event_loop.carried(scene))
         spectrum = spectrum * width[None, :]
 
         def score(world, before, ahead, after, vertex, t):
             del after, vertex
             found = _deposit(world, before, ahead, _of(world, before, spectrum))
-            gone = jnp.sum(found[0] * taken[None], axis=(1, 2))
+            gone = jnp.sum(found[0] * absorption[None], axis=(1, 2))
             gone += jnp.sum(found[1] + found[2] * black.astype(width.dtype)[None], axis=1)
             now = (jnp.arange(plan.bounces, dtype=t.dtype) == t).astype(width.dtype)
             return *found, gone[:, None] * now[None, :]
@@ -108,10 +110,10 @@ def elastic(
         layered = jnp.zeros((len(unit), len(waters), bands), width.dtype)
         gone = jnp.zeros((len(unit), plan.bounces), width.dtype)
         (found, _), last = _event_loop.walk(
-            world, lanes, unit, plan, score, (layered, level, level, gone)
+            world, walks, unit, plan, score, (layered, level, level, gone)
         )
         left = jnp.sum(_of(world, last, spectrum), axis=1)
-        entered = jnp.sum(lanes.weight, axis=1)[:, None] * spectrum
+        entered = jnp.sum(walks.weight, axis=1)[:, None] * spectrum
         track, escaped, low, gone = found
         return Tracks(track, escaped, low, left, entered), gone
 
@@ -122,38 +124,40 @@ def elastic(
 def inelastic(
     scene: Scene,
     words: UInt32[Array, " 2"],
-    plan: Plan,
+    plan: WalkSettings,
     proposal: Proposal | None,
     width: Float[Array, " wl"],
-    generations: int,
+    inelastic_orders: int,
 ) -> list[Tracks]:
-    """Tracks of each generation of light that has changed its wavelength; `entered` is 0."""
+    """Tracks of each order of inelastic light; `entered` is 0."""
     world = _event_loop.world(scene, words, proposal, spectral=True)
     light, groups = _entry(scene, plan)
     layers, bands = len(_weights.waters(scene)), len(scene.wavelength)
 
     def run(unit):
-        lanes, _, spectrum = enter(world, light, unit, groups, None)
-        lanes = coloured(lanes, spectrum)
+        walks, _, spectrum = enter(world, light, unit, groups, None)
+        walks = with_spectra(walks, spectrum)
         widths = jnp.broadcast_to(width, (len(unit), bands))
 
-        def score(before, ahead, generation):
+        def score(before, ahead, inelastic_order):
             energy = _of(world, before, widths)
             each = [
-                _deposit(world, before, ahead, jnp.where((generation == g)[..., None], energy, 0.0))
-                for g in range(1, generations + 1)
+                _deposit(
+                    world, before, ahead, jnp.where((inelastic_order == g)[..., None], energy, 0.0)
+                )
+                for g in range(1, inelastic_orders + 1)
             ]
             return tuple(jnp.stack(v, axis=1) for v in zip(*each, strict=True))
 
-        level = jnp.zeros((len(unit), generations, bands), width.dtype)
-        layered = jnp.zeros((len(unit), generations, layers, bands), width.dtype)
-        (found, _), last, generation = converted(
-            scene, world, lanes, unit, plan, generations, score, (layered, level, level)
+        level = jnp.zeros((len(unit), inelastic_orders, bands), width.dtype)
+        layered = jnp.zeros((len(unit), inelastic_orders, layers, bands), width.dtype)
+        (found, _), last, inelastic_order = forward_inelastic(
+            scene, world, walks, unit, plan, inelastic_orders, score, (layered, level, level)
         )
         energy = _of(world, last, widths)
         left = [
-            jnp.sum(jnp.where((generation == g)[..., None], energy, 0.0), axis=1)
-            for g in range(1, generations + 1)
+            jnp.sum(jnp.where((inelastic_order == g)[..., None], energy, 0.0), axis=1)
+            for g in range(1, inelastic_orders + 1)
         ]
         track, escaped, low = found
         return Tracks(track, escaped, low, jnp.stack(left, axis=1), level)
@@ -162,9 +166,9 @@ def inelastic(
         _event_loop.in_chunks(run, groups * len(light.fluxes), plan.progress), light, groups
     )
     both = jax.tree.map(lambda *parts: sum(parts[1:], parts[0]), *sources)
-    return [jax.tree.map(lambda v, g=g: v[:, g], both) for g in range(generations)]
+    return [jax.tree.map(lambda v, g=g: v[:, g], both) for g in range(inelastic_orders)]
 
 
-def _entry(scene: Scene, plan: Plan) -> tuple[Entry, int]:
+def _entry(scene: Scene, plan: WalkSettings) -> tuple[Entry, int]:
     light = entry(scene)
     return light, -(-plan.paths // (GROUP * len(light.fluxes)))

@@ -1,4 +1,4 @@
-"""Walks from the light into the water: irradiances at depths."""
+"""Forward walks, from the light into the water: irradiances at depths."""
 
 from typing import NamedTuple
 
@@ -13,31 +13,31 @@ from oceaninv.foundation.numerics import safe_sqrt
 from oceaninv.scene.scene import Scene
 from oceaninv.transport.base import Estimate
 from oceaninv.transport.monte_carlo import _array_rqmc, _event_loop, _random_walk, _weights
-from oceaninv.transport.monte_carlo._array_rqmc import Order
-from oceaninv.transport.monte_carlo._event_loop import GROUP, Plan, World
-from oceaninv.transport.monte_carlo._forward_inelastic import coloured, converted
+from oceaninv.transport.monte_carlo._array_rqmc import SortOrder
+from oceaninv.transport.monte_carlo._event_loop import GROUP, TracedScene, WalkSettings
+from oceaninv.transport.monte_carlo._forward_inelastic import forward_inelastic, with_spectra
 from oceaninv.transport.monte_carlo._geometry_derivative_guard import fixed, fixed_scene
-from oceaninv.transport.monte_carlo._random_walk import Lanes, Proposal, Vertex
+from oceaninv.transport.monte_carlo._random_walk import Proposal, Vertex, WalkBatch
 
 _GRAZING = 0.003  # below this cosine, 1/cosine counts as its mean over the band, 2/0.003:
 # right where light is even there; a band of 0.03 put E0 of thin layers off by 0.03 %
-_FAR = 8.0  # e-foldings of the light: beyond them no walks are gathered
-_LONGER = 0.8  # of the rate at which light falls off, by how much flights down are drawn longer
-_TILT = 0.7  # power of the share of light that comes back, by which walks up are worth more
-_GROUPS = 64  # of walks, at least, where there are so many: their scatter tells the error
+_FAR = 8.0  # e-foldings of the light beyond which importance does not increase
+_LONGER = 0.8  # of the rate at which light decays: the stretching of downward flights
+_TILT = 0.7  # power of the share of returning light in the importance of upward walks
+_GROUPS = 64  # least number of groups, if there are enough walks: their scatter gives the error
 _MOST = 16384  # walks in a group
 _SKY = 0x51ED270B  # sets the draws of the sky's directions apart
 
 
 def grouped(paths: int) -> int:
-    """Walks that are put in order together: the more, the better they cover what there is."""
+    """Walks per sorted group: the larger a group, the more evenly it covers the phase space."""
     size = GROUP
     while size < _MOST and 2 * size * _GROUPS <= paths:
         size *= 2
     return size
 
 
-def _from_sky(world: World, unit: UInt32[Array, " unit"], group: int):
+def _from_sky(world: TracedScene, unit: UInt32[Array, " unit"], group: int):
     """Directions and weights of walks that enter from a uniform sky, as flux."""
     words = world.words ^ jnp.uint32(_SKY)
     u = _array_rqmc.points(unit, jnp.uint32(0), words, group, world.proposal.rate.dtype, (0, 1))
@@ -51,19 +51,21 @@ def _from_sky(world: World, unit: UInt32[Array, " unit"], group: int):
     return (level * jnp.cos(azimuth), level * jnp.sin(azimuth), above), weight
 
 
-def _crossing(world: World, depth: Array, lanes: Lanes, weight: Array, factor: Array | None):
+def _crossing(
+    world: TracedScene, depth: Array, walks: WalkBatch, weight: Array, factor: Array | None
+):
     """Ed, Eu and E0 that walks bring to a depth ahead, (unit, 3, wl)."""
-    z, up = lanes.position[2], lanes.direction[2] < 0
-    steep = jnp.maximum(jnp.abs(lanes.direction[2]), 1e-6)
+    z, up = walks.position[2], walks.direction[2] < 0
+    steep = jnp.maximum(jnp.abs(walks.direction[2]), 1e-6)
     slanted = jnp.where(steep < _GRAZING, 2.0 / _GRAZING, 1.0 / steep)
     if world.domain.floor is not None and factor is None:
-        # Light of the floor itself: 1/cosine by its mean over Lambert's law, for its variance is
-        # without a bound.
+        # Light from the floor itself: 1/cosine has unbounded variance, so its mean over Lambert's
+        # law takes its place.
         slanted = jnp.where(up & (z == world.domain.floor) & (depth == z), 2.0, slanted)
     passes = jnp.where(up, depth <= z, depth >= z)
     length = jnp.where(passes, jnp.abs(depth - z) / steep, 0.0)
     beyond = _random_walk.by_layer(world.domain, z, jnp.where(passes, depth, z), length)
-    reaching = _weights.attenuated(world.medium, lanes, beyond)
+    reaching = _weights.attenuated(world.medium, walks, beyond)
     if factor is not None:
         reaching = reaching * factor
     crossed = jnp.where(passes, weight, 0.0)
@@ -75,11 +77,14 @@ def _crossing(world: World, depth: Array, lanes: Lanes, weight: Array, factor: A
 _at_depths = jax.vmap(_crossing, (None, 0, None, None, None), 1)
 
 
-def _aside(world: World, depths: Array, before: Lanes, after: Lanes, vertex: Vertex, unit, t):
-    """What each scattering brings to the depths in a direction drawn evenly: light that a peaked
-    phase function seldom turns round.  Its share is what the walk's own direction leaves."""
-    lanes, dtype = before.weight.shape[1], before.weight.dtype
-    u = _array_rqmc.points(unit, t, world.words, lanes, dtype, (4, 5))
+def _even_scattering(
+    world: TracedScene, depths: Array, before: WalkBatch, after: WalkBatch, vertex: Vertex, unit, t
+):
+    """The contribution of each scattering to the depths in a uniformly drawn direction: light that
+    a peaked phase function seldom scatters backward.  Its weight is 1 minus that of the walk's own
+    direction (`_weights.own_share`)."""
+    count, dtype = before.weight.shape[1], before.weight.dtype
+    u = _array_rqmc.points(unit, t, world.words, count, dtype, (4, 5))
     steep = 2.0 * u[0] - 1.0
     level, azimuth = safe_sqrt(1.0 - steep**2), 2.0 * np.pi * u[1]
     direction = (level * jnp.cos(azimuth), level * jnp.sin(azimuth), steep)
@@ -87,12 +92,12 @@ def _aside(world: World, depths: Array, before: Lanes, after: Lanes, vertex: Ver
     cosine = sum((a * b for a, b in pairs), start=jnp.zeros_like(steep))
     scattered = _weights.volume_scattering(world.medium, world.proposal, vertex, cosine)
     share = 1.0 - _weights.own_share(world.medium, vertex, cosine)
-    lanes = after._replace(counts=before.counts, direction=direction)
-    return _at_depths(world, depths, lanes, 4.0 * np.pi * share * after.weight, scattered)
+    walks = after._replace(counts=before.counts, direction=direction)
+    return _at_depths(world, depths, walks, 4.0 * np.pi * share * after.weight, scattered)
 
 
-def _fallen(world: World, z: Array) -> Array:
-    """By how many e-foldings the light has fallen off at a depth, at most _FAR."""
+def _e_foldings(world: TracedScene, z: Array) -> Array:
+    """The number of e-foldings by which the light has decayed at a depth, at most _FAR."""
     depth = jnp.zeros_like(z)
     pairs = zip(_random_walk.bounds(world.domain), world.proposal.decay, strict=True)
     for (top, bottom), rate in pairs:
@@ -100,9 +105,9 @@ def _fallen(world: World, z: Array) -> Array:
     return jnp.minimum(depth, _FAR)
 
 
-def _turning(world: World) -> Array:
-    """The share of the light that comes back up, by layer and with all below it, (layer,): two
-    streams (Kubelka & Munk), the mean of all bands.  Not below a thousandth."""
+def _returned_share(world: TracedScene) -> Array:
+    """The share of the light that a layer and all below it send back up, (layer,), by two streams
+    (Kubelka & Munk), the mean of all bands, at least 0.001."""
     medium = jax.lax.stop_gradient(world.medium)
     below = jnp.zeros_like(medium.c[0]) if world.domain.floor is None else world.proposal.floor
     found = []
@@ -111,7 +116,7 @@ def _turning(world: World) -> Array:
         even = 1.0 - jnp.stack([jnp.asarray(p.asymmetry, rows.dtype) for p in phases])
         back, a = 0.5 * (even @ rows), medium.c[i] - jnp.sum(rows, axis=0)
         fall = jnp.maximum(safe_sqrt(a * (a + 2.0 * back)), 1e-6 * medium.c[i] + 1e-9)
-        # 1.5: how much longer than upright ways those of diffuse light are.
+        # 1.5: mean path length of diffuse light over the vertical distance.
         optical = 1.5 * fall * (bottom - top)
         turned = jnp.tanh(optical) / (fall + (a + back) * jnp.tanh(optical))
         through = 1.0 / (jnp.cosh(optical) + (a + back) / fall * jnp.sinh(optical))
@@ -121,39 +126,38 @@ def _turning(world: World) -> Array:
     return jnp.stack(found)
 
 
-def _worth(world: World, depths: Array, turning: Array, lanes: Lanes) -> Array:
-    """How much a walk may bring to the depths, each relative to the light that is there: it falls
-    off like the light itself.  Walks gather where there is little light to count.  One that heads
-    upwards is worth more to upward light above it, the rarer that is (`turning`), and less to what
-    is below."""
-    z = lanes.position[2]
-    own, wanted = _fallen(world, z)[..., None], _fallen(world, depths)[None, None, :]
+def _importance(world: TracedScene, depths: Array, turning: Array, walks: WalkBatch) -> Array:
+    """Importance of a walk: its expected contribution to each depth relative to the light there,
+    which decays with distance as the light does.  Walks are thus concentrated where there is little
+    light.  The rarer upward light is (`turning`), the more important an upward walk is to the
+    depths above it, and the less important to those below."""
+    z = walks.position[2]
+    own, wanted = _e_foldings(world, z)[..., None], _e_foldings(world, depths)[None, None, :]
     turning = turning[_random_walk.layer_of(world.domain, z)][..., None] ** _TILT
-    up = (lanes.direction[2] < 0)[..., None]
+    up = (walks.direction[2] < 0)[..., None]
     above = jnp.exp(2.0 * wanted - own) * jnp.where(up, 1.0 / turning, 1.0)
     below = jnp.exp(own) * jnp.where(up, turning, 1.0)
     return jnp.mean(jnp.where(wanted <= own, above, below), axis=-1)
 
 
-def _rate(world: World, lanes: Lanes) -> Array:
-    """At which flights are drawn: those that lead down, longer than chance has it, as the light
-    that is worth more there makes good (exponential transform; Clark 1966, Nucl. Sci. Eng.
-    26:236)."""
-    proposal, layer = world.proposal, _random_walk.layer_of(world.domain, lanes.position[2])
+def _rate(world: TracedScene, walks: WalkBatch) -> Array:
+    """Rate at which flights are drawn, relative to the proposal's: downward flights are stretched
+    (exponential transform; Clark 1966, Nucl. Sci. Eng. 26:236)."""
+    proposal, layer = world.proposal, _random_walk.layer_of(world.domain, walks.position[2])
     fall = proposal.decay[layer] / proposal.rate[layer]
-    return 1.0 - _LONGER * fall * jnp.maximum(lanes.direction[2], 0.0)
+    return 1.0 - _LONGER * fall * jnp.maximum(walks.direction[2], 0.0)
 
 
 class Entry(NamedTuple):
-    """What enters the water: the cosine of the sunbeam, and the flux of each source, (wl,), of
-    which the first is the sun's."""
+    """The light that enters the water: the cosine of the sunbeam, and the flux of each source,
+    (wl,), the sun's first."""
 
     cosine: Array
     fluxes: tuple[Array, ...]
 
 
 def entry(scene: Scene) -> Entry:
-    """Sun and, where there is one, sky: the latter's flux as it is above the surface."""
+    """The fluxes of the sun and, where there is one, of the sky; the latter above the surface."""
     cosine, sun = scene.beam()
     cosine = jax.lax.stop_gradient(cosine)
     fluxes = (sun * cosine,)
@@ -163,16 +167,15 @@ def entry(scene: Scene) -> Entry:
 
 
 def enter(
-    world: World,
+    world: TracedScene,
     entry: Entry,
     unit: UInt32[Array, " unit"],
     groups: int,
     bands: int | None,
     group: int = GROUP,
-) -> tuple[Lanes, Array, Array]:
-    """Walks just below the surface, for unit flux: `groups` of the sun, then as many of the sky,
-    each of `group` walks.
-    With them whether they are the sun's, (unit, 1), and their spectra, (unit, wl)."""
+) -> tuple[WalkBatch, Array, Array]:
+    """Walks just below the surface, for unit flux: `groups` units for the sun, then as many for the
+    sky, each of `group` walks; whether they are the sun's, (unit, 1); their spectra, (unit, wl)."""
     shape, cosine = (len(unit), group), entry.cosine
     level = -safe_sqrt(1.0 - cosine**2)
     beam = (level, jnp.zeros_like(level), cosine)
@@ -186,12 +189,12 @@ def enter(
         weight = jnp.where(sunlit, weight, through)
         spectrum = jnp.where(sunlit, *(flux[None, :] for flux in entry.fluxes))
     position = (jnp.zeros(shape, cosine.dtype),) * 3
-    lanes = _event_loop.standing(world.domain, position, direction, bands)
-    return lanes._replace(weight=weight), sunlit, spectrum
+    walks = _event_loop.initial_state(world.domain, position, direction, bands)
+    return walks._replace(weight=weight), sunlit, spectrum
 
 
 def split(sums, entry: Entry, groups: int) -> list:
-    """Sums (unit, ...) of the walks of each source."""
+    """Sums (unit, ...), divided by source."""
     return [
         jax.tree.map(lambda v, i=i: v[i * groups : (i + 1) * groups], sums)
         for i in range(len(entry.fluxes))
@@ -200,38 +203,40 @@ def split(sums, entry: Entry, groups: int) -> list:
 
 def _elastic(
     scene: Scene,
-    world: World,
+    world: TracedScene,
     depths: Array,
-    plan: Plan,
+    plan: WalkSettings,
     entry: Entry,
     group: int,
     gathers: bool,
 ):
-    """Means by source of groups of walks for unit flux on the surface, (unit, depth, 3, wl), in all
-    and late; `gathers`: whether walks are drawn anew by what they are worth."""
+    """Means of groups of walks by source, for unit flux on the surface, (unit, depth, 3, wl), of
+    all events and of the last quarter; `gathers`: whether walks are resampled by importance."""
     groups = -(-plan.paths // (group * len(entry.fluxes)))
 
     def run(unit):
-        lanes, sunlit, _ = enter(world, entry, unit, groups, _event_loop.carried(scene), group)
-        lanes = lanes._replace(own=jnp.ones_like(lanes.weight))
+        walks, sunlit, _ = enter(world, entry, unit, groups, _event_loop.carried(scene), group)
+        walks = walks._replace(own=jnp.ones_like(walks.weight))
 
         def score(world, before, ahead, after, vertex, t):
             del ahead
             # The sunbeam itself is added in closed form.
             new = jnp.where((t == 0) & sunlit, 0.0, before.weight * before.own)
             found = _at_depths(world, depths, before, new, None)
-            return found + _aside(world, depths, before, after, vertex, unit, t)
+            return found + _even_scattering(world, depths, before, after, vertex, unit, t)
 
-        order = Order(lambda lanes: -jnp.expm1(-_fallen(world, lanes.position[2])), None, None)
+        order = SortOrder(
+            lambda walks: -jnp.expm1(-_e_foldings(world, walks.position[2])), None, None
+        )
         if gathers:
-            turning = _turning(world)
+            turning = _returned_share(world)
             order = order._replace(
-                worth=lambda lanes: _worth(world, depths, turning, lanes),
-                rate=lambda lanes: _rate(world, lanes),
+                importance=lambda walks: _importance(world, depths, turning, walks),
+                rate=lambda walks: _rate(world, walks),
             )
         shape = (len(unit), depths.shape[0], 3, len(scene.wavelength))
-        blank = jnp.zeros(shape, lanes.weight.dtype)
-        return _event_loop.walk(world, lanes, unit, plan, score, blank, order)[0]
+        blank = jnp.zeros(shape, walks.weight.dtype)
+        return _event_loop.walk(world, walks, unit, plan, score, blank, order)[0]
 
     sums = _event_loop.in_chunks(run, groups * len(entry.fluxes), plan.progress, group)
     return split(sums, entry, groups)
@@ -239,27 +244,27 @@ def _elastic(
 
 def _inelastic(
     scene: Scene,
-    world: World,
+    world: TracedScene,
     depths: Array,
-    plan: Plan,
+    plan: WalkSettings,
     entry: Entry,
-    generations: int,
+    inelastic_orders: int,
 ):
-    """The same, of light that has changed its wavelength, for the fluxes that there are."""
+    """The same for light that has changed its wavelength, for the actual fluxes."""
     groups = -(-plan.paths // (GROUP * len(entry.fluxes)))
     bands = len(scene.wavelength)
 
     def run(unit):
-        lanes, _, spectrum = enter(world, entry, unit, groups, None)
-        lanes = coloured(lanes, spectrum)
+        walks, _, spectrum = enter(world, entry, unit, groups, None)
+        walks = with_spectra(walks, spectrum)
 
-        def score(before, ahead, generation):
+        def score(before, ahead, inelastic_order):
             del ahead
-            new = jnp.where(generation > 0, before.weight, 0.0)
+            new = jnp.where(inelastic_order > 0, before.weight, 0.0)
             return _at_depths(world, depths, before, new, None)
 
-        blank = jnp.zeros((len(unit), depths.shape[0], 3, bands), lanes.weight.dtype)
-        return converted(scene, world, lanes, unit, plan, generations, score, blank)[0]
+        blank = jnp.zeros((len(unit), depths.shape[0], 3, bands), walks.weight.dtype)
+        return forward_inelastic(scene, world, walks, unit, plan, inelastic_orders, score, blank)[0]
 
     sums = _event_loop.in_chunks(run, groups * len(entry.fluxes), plan.progress)
     return split(sums, entry, groups)
@@ -270,24 +275,24 @@ def irradiance(
     scene: Scene,
     depths: Float[Array, " depth"],
     words: UInt32[Array, " 2"],
-    plan: Plan,
+    plan: WalkSettings,
     proposal: Proposal | None,
-    generations: int = 1,
+    inelastic_orders: int = 1,
 ) -> Estimate:
-    """(depth, 3, wl): Ed, Eu, E0, with `generations` of inelastic light."""
+    """(depth, 3, wl): Ed, Eu, E0, with `inelastic_orders` orders of inelastic light."""
     scene, depths = fixed_scene(scene), fixed("depths", depths)
     world = _event_loop.world(scene, words, proposal)
     light = entry(scene)
     group = grouped(plan.paths // len(light.fluxes))
     found = []
-    # Frozen walks stay as they are: what they are worth depends on the water.
+    # Frozen walks are not resampled: their importance depends on the water.
     sums = _elastic(scene, world, depths, plan, light, group, proposal is None)
     for own, flux in zip(sums, light.fluxes, strict=True):
         own = tuple(v * flux[None, None, None] for v in own)
         found.append(_event_loop.estimate(own, scene, plan))
     if scene.inelastic is not None:
         world = _event_loop.world(scene, words, proposal, spectral=True)
-        sums = _inelastic(scene, world, depths, plan, light, generations)
+        sums = _inelastic(scene, world, depths, plan, light, inelastic_orders)
         found += [_event_loop.estimate(own, scene, plan) for own in sums]
     cosine, sun = light.cosine, scene.beam()[1]
     beam = _beam(world, depths, cosine, sun)
@@ -297,7 +302,7 @@ def irradiance(
     return Estimate(value, found.stderr, found.bias)
 
 
-def _beam(world: World, depths: Array, cosine: Array, sun: Array) -> Float[Array, "depth wl"]:
+def _beam(world: TracedScene, depths: Array, cosine: Array, sun: Array) -> Float[Array, "depth wl"]:
     """The sunbeam at depths, normal to itself."""
     lengths = _random_walk.by_layer(world.domain, jnp.zeros_like(depths), depths, depths / cosine)
     optical = jnp.zeros((depths.shape[0], sun.shape[0]), sun.dtype)

@@ -1,4 +1,4 @@
-"""What a Monte Carlo estimate cannot be differentiated in says so."""
+"""Errors for derivatives that a Monte Carlo estimate does not have: those in geometry."""
 
 import dataclasses
 import functools
@@ -32,7 +32,7 @@ def _fixed_jvp(name, primals, tangents):
 
 
 def fixed_scene(scene: Scene) -> Scene:
-    """The scene with its geometry closed to derivatives."""
+    """The scene, whose geometry raises ValueError when differentiated."""
 
     def close(name, where):
         nonlocal scene
@@ -58,6 +58,6 @@ def fixed_scene(scene: Scene) -> Scene:
 
 
 def fixed_rays(rays: Rays) -> Rays:
-    """The rays, closed to derivatives."""
+    """The rays, which raise ValueError when differentiated."""
     length = np.inf if rays.length is None else fixed("rays.length", rays.length)
     return Rays(fixed("rays.origin", rays.origin), fixed("rays.direction", rays.direction), length)

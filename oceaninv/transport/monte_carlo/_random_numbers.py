@@ -1,7 +1,7 @@
-"""Random numbers by counting, and directions from any phase function.
+"""Counter-based random numbers, and directions from any phase function.
 
-Every draw is a hash of (path, event, key): it depends on nothing else, so neither the order nor the
-grouping of paths changes a result.
+Every number is a hash of (path, event, key) and depends on nothing else, so that neither the order
+nor the grouping of paths changes a result.
 """
 
 from collections.abc import Sequence
@@ -15,7 +15,7 @@ from oceaninv.water.phase import AbstractPhase
 
 BINS = 1024  # of equal probability, per layer
 _GRID = 4096
-_DEAL = 0x3C6EF372  # sets the deals of the strata apart from the numbers in them
+_DEAL = 0x3C6EF372  # separates the random stream that assigns the strata
 
 
 def key_words(key) -> UInt32[Array, " 2"]:
@@ -57,36 +57,38 @@ def uniforms(
 
 
 def spread(
-    u: tuple[Float[Array, "unit lane"], ...],
+    u: tuple[Float[Array, "unit walk"], ...],
     unit: UInt32[Array, " unit"],
     event: UInt32[Array, ""],
     words: UInt32[Array, " 2"],
-) -> tuple[Float[Array, "unit lane"], ...]:
-    """Four numbers per lane, of which the lanes of a unit share the unit interval: each has one
-    stratum of it to itself, dealt out anew for every number and event (McKay, Beckman & Conover
-    1979, Technometrics 21:239).  Every number is still uniform, and independent of the lane's
-    others; the number of lanes is a power of 2."""
-    lanes = u[0].shape[1]
-    if lanes == 1:
+) -> tuple[Float[Array, "unit walk"], ...]:
+    """Four numbers per walk, stratified among the walks of a unit (Latin hypercube sampling; McKay,
+    Beckman & Conover 1979, Technometrics 21:239).
+
+    The strata are assigned to the walks anew for every number and event.  Every number is still
+    uniform, and independent of the other numbers of its walk.  The number of walks is a power of 2.
+    """
+    count = u[0].shape[1]
+    if count == 1:
         return u
-    mask = jnp.uint32(lanes - 1)
-    lane = jnp.arange(lanes, dtype=jnp.uint32)[None, :]
+    mask = jnp.uint32(count - 1)
+    place = jnp.arange(count, dtype=jnp.uint32)[None, :]
     deals = hashed(unit, event, words ^ jnp.uint32(_DEAL))
     top = 1.0 - 0.5 * float(jnp.finfo(u[0].dtype).eps)
     dealt = []
     for number, deal in zip(u, deals, strict=True):
         bits = [(deal >> jnp.uint32(shift))[:, None] for shift in (8, 16, 24)]
-        stratum = (((lane ^ bits[0]) * (bits[1] | jnp.uint32(1))) ^ bits[2]) & mask
-        dealt.append(jnp.minimum((stratum.astype(number.dtype) + number) / lanes, top))
+        stratum = (((place ^ bits[0]) * (bits[1] | jnp.uint32(1))) ^ bits[2]) & mask
+        dealt.append(jnp.minimum((stratum.astype(number.dtype) + number) / count, top))
     return tuple(dealt)
 
 
 def half_angle_table(
     phases: Sequence[AbstractPhase], weights: Float[Array, " shape"]
 ) -> Float[Array, " edge"]:
-    """Edges, in sin^2(theta/2) from 0 to 1, of bins that a mixture of phase functions fills
-    equally.  What is sampled is the histogram itself, whose density is known exactly: how well the
-    edges follow the functions is a matter of variance, not of bias."""
+    """Edges, in sin^2(theta/2) from 0 to 1, of bins of equal probability of a mixture of phase
+    functions.  The histogram itself is sampled, and its density is known exactly, so that the
+    accuracy of the edges affects the variance but not the mean."""
     dtype = weights.dtype
     # Evenly in the logarithm near the peak, evenly in the angle further out.
     t = jnp.linspace(0.0, 1.0, _GRID, dtype=dtype)

@@ -1,13 +1,12 @@
 """Random walks through layered water, traced once for every wavelength.
 
-A walk is drawn from a `Proposal` that knows nothing of wavelengths: free flights at a rate sigma
-per layer, scattering angles from one table per layer.  What it needs to be weighed at any water is
-kept in `Lanes`: lengths and scattering counts per layer, floor hits, one scalar weight.  Nothing
-here is differentiated.
+A walk is drawn from a `Proposal` that does not depend on wavelength: free flights at a rate sigma
+per layer, scattering angles from one table per layer.  `WalkBatch` keeps what determines its weight
+in any water: lengths and scattering counts per layer, floor hits, one scalar weight.  Nothing here
+is differentiated.
 
-A flight never leaves the water: of the light that reaches a boundary only the share that comes
-back (the surface's reflectance, the floor's) competes with scattering.  What leaves is scored by
-its expected value.
+A flight never leaves the water.  Of the light that reaches a boundary, only the reflected share
+competes with scattering; the light that leaves is scored by its expected value.
 """
 
 from typing import NamedTuple
@@ -27,15 +26,18 @@ from oceaninv.transport.monte_carlo._random_numbers import (
     turn,
 )
 
-_BOUNCED = 0.75  # greatest chance of a reflection where scattering is possible
-_RARE = 0.4  # of the root of a small chance of a reflection is its least chance
+_BOUNCED = 0.75  # greatest probability of a reflection where scattering is possible
+_RARE = 0.4  # times the root of a small probability of reflection: the least that is used
 LEVEL = 1e-4  # flights closer to horizontal than this cosine stay in their layer
 
 
 class Domain(NamedTuple):
-    """Where light can be.  `edges`: depths between layers; `floor`: depth or None; `refraction`:
-    the index of water under a flat surface, or None; `things`: objects, whose reflectance is here a
-    row of the identity, so that what is met is known and what it reflects stays differentiable."""
+    """The geometry of a scene.
+
+    `edges`: depths between layers; `floor`: depth or None; `refraction`: the index of water under a
+    flat surface, or None; `things`: objects with rows of the identity matrix as reflectances, which
+    tell which object was met and keep the true reflectances differentiable.
+    """
 
     edges: Float[Array, " interface"]
     floor: Float[Array, ""] | None
@@ -44,8 +46,11 @@ class Domain(NamedTuple):
 
 
 class Proposal(eqx.Module):
-    """What walks are drawn from: scattering rates (1/m) and tables of angles by layer, the shares
-    of light that the floor and each object send back, and how fast light falls off (1/m)."""
+    """The distribution that walks are drawn from.
+
+    `rate` (1/m) and `tables` of angles by layer; `floor`, `things`: reflectances of the floor and
+    of each object; `decay`: rate at which light decays with depth (1/m).
+    """
 
     rate: Float[Array, " layer"]
     tables: Float[Array, "layer edge"]
@@ -54,11 +59,14 @@ class Proposal(eqx.Module):
     decay: Float[Array, " layer"]
 
 
-class Lanes(NamedTuple):
-    """Walks side by side.  `weight`: scalar factor; `lengths` (m) and `counts` of scatterings, one
-    array per layer; `floors`: floor hits; `spectral`: factors (..., wl), None where a count says
-    it all; `limit`: metres after which a line of sight ends, None where none does; `own`: the share
-    of a flight's light that the walk itself scores, None where it scores all."""
+class WalkBatch(NamedTuple):
+    """A batch of random walks, (unit, walk).
+
+    `weight`: scalar factor; `lengths` (m) and `counts` of scatterings, one array per layer;
+    `floors`: floor hits; `spectral`: factors (..., wl), None where the counts suffice; `limit`:
+    length (m) at which a line of sight ends, None where none ends; `own`: the share of a flight's
+    light that the walk itself scores, None where it scores all.
+    """
 
     position: Vector
     direction: Vector
@@ -72,10 +80,12 @@ class Lanes(NamedTuple):
 
 
 class Flight(NamedTuple):
-    """The way ahead.  `up`: whether upwards; `ends`: whether at the surface or floor; `lengths` by
-    layer and `distance` in all (0 where endless); `reflectance` of the surface; `optical` length at
-    the proposal's rate; the share `returned` from the end; which object it meets instead (`thing`:
-    a row of zeros for none) and its `normal`, None without any.
+    """The straight path ahead of a walk, to the next boundary or object.
+
+    `up`: whether upwards; `ends`: whether it ends at the surface or floor; `lengths` by layer and
+    `distance` in all (0 where endless); `reflectance` of the surface; `optical` length at the
+    proposal's rate; `returned`: the share that comes back from the end; `thing`: which object it
+    meets (a row of zeros for none), and its `normal`; both None in scenes without objects.
     """
 
     up: Bool[Array, "..."]
@@ -95,7 +105,7 @@ class Flight(NamedTuple):
 
 
 def each(function, *arguments):
-    """function(vectors (3,), scalars) mapped over the lanes (unit, lane) of its arguments."""
+    """function(vectors (3,), scalars), mapped over the walks (unit, walk) of its arguments."""
     stacked = (jnp.stack(a, axis=-1) if isinstance(a, tuple) else a for a in arguments)
     return jax.vmap(jax.vmap(function))(*stacked)
 
@@ -134,9 +144,9 @@ def total(lengths: tuple, rates) -> Array:
     return jnp.sum(jnp.stack([s * r for s, r in zip(lengths, rates, strict=True)]), axis=0)
 
 
-def flight(domain: Domain, proposal: Proposal, lanes: Lanes) -> Flight:
-    """The way from where each walk stands to the boundary that it heads for."""
-    z, mu = lanes.position[2], lanes.direction[2]
+def flight(domain: Domain, proposal: Proposal, walks: WalkBatch) -> Flight:
+    """The path from the position of each walk to the boundary ahead."""
+    z, mu = walks.position[2], walks.direction[2]
     up = mu < 0
     level = jnp.abs(mu) < LEVEL
     steep = jnp.where(level, 1.0, jnp.abs(mu))
@@ -146,20 +156,20 @@ def flight(domain: Domain, proposal: Proposal, lanes: Lanes) -> Flight:
     bounded = ends
     thing = normal = None
     if domain.things:
-        hit = each(lambda o, d: nearest(domain.things, o, d), lanes.position, lanes.direction)
+        hit = each(lambda o, d: nearest(domain.things, o, d), walks.position, walks.direction)
         met = hit.distance < jnp.where(ends, distance, jnp.inf)
-        if lanes.limit is not None:
-            met = met & (hit.distance <= lanes.limit)
+        if walks.limit is not None:
+            met = met & (hit.distance <= walks.limit)
         distance = jnp.where(met, hit.distance, distance)
         ends, bounded = ends & ~met, ends | met
         end = jnp.where(met, z + mu * distance, end)
         thing = jnp.where(met[..., None], hit.reflectance, 0.0)
         normal = tuple(hit.normal[..., i] for i in range(3))
-    if lanes.limit is not None:
-        cut = lanes.limit < jnp.where(bounded, distance, jnp.inf)
-        distance = jnp.where(cut, lanes.limit, distance)
+    if walks.limit is not None:
+        cut = walks.limit < jnp.where(bounded, distance, jnp.inf)
+        distance = jnp.where(cut, walks.limit, distance)
         ends, bounded = ends & ~cut, ends | cut
-        end = jnp.where(cut, z + mu * lanes.limit, end)
+        end = jnp.where(cut, z + mu * walks.limit, end)
     lengths = by_layer(domain, z, jnp.where(bounded, end, z), distance)
     optical = jnp.where(bounded, total(lengths, proposal.rate), jnp.inf)
     reflectance = jnp.zeros_like(z)
@@ -173,9 +183,9 @@ def flight(domain: Domain, proposal: Proposal, lanes: Lanes) -> Flight:
     return Flight(up, lengths, ends, reflectance, optical, distance, returned, thing, normal)
 
 
-def _scattered_at(domain: Domain, proposal: Proposal, lanes: Lanes, depth: Array):
-    """Where a walk is after an optical depth: (length, z)."""
-    z, mu = lanes.position[2], lanes.direction[2]
+def _scattered_at(domain: Domain, proposal: Proposal, walks: WalkBatch, depth: Array):
+    """The position of a walk after an optical depth: (length, z)."""
+    z, mu = walks.position[2], walks.direction[2]
     own = proposal.rate[layer_of(domain, z)]
     straight = depth / own
     if domain.edges.shape[0] == 0:
@@ -194,7 +204,7 @@ def _scattered_at(domain: Domain, proposal: Proposal, lanes: Lanes, depth: Array
 
 
 class Vertex(NamedTuple):
-    """Where a flight ended: `scattered` in the water, else at a boundary."""
+    """The end of a flight: `scattered` in the water, else at a boundary."""
 
     scattered: Bool[Array, "..."]
     layer: Int[Array, "..."]
@@ -203,19 +213,19 @@ class Vertex(NamedTuple):
 def advance(
     domain: Domain,
     proposal: Proposal,
-    lanes: Lanes,
+    walks: WalkBatch,
     ahead: Flight,
     u: tuple,
     rate: Float[Array, "..."] | None = None,
-) -> tuple[Lanes, Vertex]:
-    """The walks at the ends of their flights, not yet turned.  The weight of a walk that scattered
-    lacks the phase function over the density of its new direction.  `rate`: relative to the
-    proposal's, at which flights are drawn; 1 for None."""
+) -> tuple[WalkBatch, Vertex]:
+    """The walks at the ends of their flights, before their change of direction.  The weight of a
+    walk that scattered lacks the factor of phase function over density of the new direction.
+    `rate`: rate at which flights are drawn relative to the proposal's; None: 1."""
     scatters = -jnp.expm1(-ahead.optical)
     kept = ahead.returned + scatters
-    # Also in the thinnest water one walk in four scatters.
+    # Even in the thinnest water one walk in four scatters.
     chance = ahead.returned / jnp.where(kept > 0, kept, 1.0)
-    # Light that comes back from far is rare, and may be all that there is to see.
+    # Light that returns from far away is rare, but may be the only light there is.
     chance = jnp.minimum(jnp.maximum(chance, _RARE * safe_sqrt(chance)), _BOUNCED)
     bounced = u[3] < chance
     if rate is None:
@@ -228,40 +238,40 @@ def advance(
     share = jnp.where(
         bounced, ahead.returned / jnp.where(bounced, chance, 1.0), drawn / (1.0 - chance)
     )
-    length, z = _scattered_at(domain, proposal, lanes, depth)
+    length, z = _scattered_at(domain, proposal, walks, depth)
     end = jnp.where(ahead.up, 0.0, 0.0 if domain.floor is None else domain.floor)
     if domain.things:
-        struck = lanes.position[2] + ahead.distance * lanes.direction[2]
+        struck = walks.position[2] + ahead.distance * walks.direction[2]
         end = jnp.where(ahead.met, struck, end)
     z = jnp.where(bounced, end, jnp.maximum(z, 0.0))
     if domain.floor is not None:
         z = jnp.minimum(z, domain.floor)
     length = jnp.where(bounced, ahead.distance, length)
-    parts = by_layer(domain, lanes.position[2], z, length)
+    parts = by_layer(domain, walks.position[2], z, length)
     layer = layer_of(domain, z)
     scattered = ~bounced & (scatters > 0)
-    x, y, _ = lanes.position
+    x, y, _ = walks.position
     counts = tuple(
-        jnp.where(scattered & (layer == i), k + 1.0, k) for i, k in enumerate(lanes.counts)
+        jnp.where(scattered & (layer == i), k + 1.0, k) for i, k in enumerate(walks.counts)
     )
-    lanes = lanes._replace(
-        position=(x + length * lanes.direction[0], y + length * lanes.direction[1], z),
-        weight=lanes.weight * share,
-        lengths=tuple(s + d for s, d in zip(lanes.lengths, parts, strict=True)),
+    walks = walks._replace(
+        position=(x + length * walks.direction[0], y + length * walks.direction[1], z),
+        weight=walks.weight * share,
+        lengths=tuple(s + d for s, d in zip(walks.lengths, parts, strict=True)),
         counts=counts,
-        floors=jnp.where(bounced & ahead.ends & ~ahead.up, lanes.floors + 1.0, lanes.floors),
+        floors=jnp.where(bounced & ahead.ends & ~ahead.up, walks.floors + 1.0, walks.floors),
     )
-    return lanes, Vertex(scattered, layer)
+    return walks, Vertex(scattered, layer)
 
 
 def deflect(
-    proposal: Proposal, lanes: Lanes, vertex: Vertex, ahead: Flight, u: tuple
+    proposal: Proposal, walks: WalkBatch, vertex: Vertex, ahead: Flight, u: tuple
 ) -> tuple[Vector, Float[Array, "..."], Float[Array, "..."]]:
     """New directions; with them the cosine of the scattering angle and the density (1/sr) of the
     scattered ones."""
     half, density = sample_half_angle(proposal.tables, vertex.layer, u[1])
-    scattered = turn(lanes.direction, half, u[2])
-    x, y, z = lanes.direction
+    scattered = turn(walks.direction, half, u[2])
+    x, y, z = walks.direction
     normal = (jnp.zeros_like(x), jnp.zeros_like(x), -jnp.ones_like(x))
     up = ahead.up
     if ahead.normal is not None:

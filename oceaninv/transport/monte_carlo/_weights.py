@@ -1,9 +1,8 @@
-"""What a traced walk is worth at every wavelength: an analytic function of the water.
+"""The weight of a traced walk at every wavelength, an analytic function of the water.
 
 weight = scalar * product over layers of (b/sigma)^k exp(-(c - sigma) S) * (rho/rho0)^hits * mixing,
-where mixing is the phase function over the density that was sampled.  It is exact for any a, b,
-floor and phase parameters, and so are its derivatives; only how fast the average settles depends on
-the proposal.
+where mixing is the phase function over the sampled density.  The weight and its derivatives are
+exact for any a, b, floor and phase parameters; the proposal affects the variance alone.
 """
 
 from typing import NamedTuple
@@ -15,11 +14,11 @@ from jaxtyping import Array, Float, Int
 
 from oceaninv.scene.scene import Scene
 from oceaninv.transport.monte_carlo._random_numbers import half_angle_table
-from oceaninv.transport.monte_carlo._random_walk import Flight, Lanes, Proposal, Vertex
+from oceaninv.transport.monte_carlo._random_walk import Flight, Proposal, Vertex, WalkBatch
 from oceaninv.water.iops import IOPs
 from oceaninv.water.phase import AbstractPhase, Isotropic
 
-_TINY = 1e-20  # 1/m: scattering coefficients below count as this in a logarithm
+_TINY = 1e-20  # 1/m: lower bound of scattering coefficients in a logarithm
 
 
 class Medium(NamedTuple):
@@ -41,15 +40,15 @@ def waters(scene: Scene) -> tuple[IOPs, ...]:
 
 
 def mixed(scene: Scene) -> bool:
-    """Whether walks carry a spectral factor: a layer has several phase functions, so that the
-    spectrum of a scattering depends on its angle, or objects have spectra of their own."""
+    """Whether walks carry a spectral factor.  They do where a layer has several phase functions,
+    so that the spectrum of a scattering depends on its angle, and where there are objects."""
     return bool(scene.objects) or any(len(w.phases) > 1 for w in waters(scene))
 
 
 @eqx.filter_jit
 def propose(scene: Scene) -> Proposal:
-    """The proposal made for a scene: flights at the least attenuation of all bands, angles from the
-    mean phase function.  No band's weights then grow along a path."""
+    """The proposal for a scene: flights drawn at the smallest attenuation of all bands, angles from
+    the mean phase function.  Then the weights of no band grow along a path."""
     scene = jax.lax.stop_gradient(scene)
     rates, tables, decay = [], [], []
     for water in waters(scene):
@@ -62,7 +61,7 @@ def propose(scene: Scene) -> Proposal:
         decay.append(jnp.min(jnp.minimum(fall, water.c)))
     floor = jnp.zeros_like(rates[0])
     if scene.floor is not None:
-        # Not 0: a black floor has derivatives that need walks which touch it.
+        # Not 0: the derivatives with respect to a black floor need walks that touch it.
         floor = jnp.maximum(jnp.mean(scene.floor.reflectance), 0.02)
     things = [jnp.maximum(jnp.mean(thing.reflectance), 0.02) for thing in scene.objects]
     things = jnp.stack(things) if things else jnp.zeros((0,), floor.dtype)
@@ -70,7 +69,7 @@ def propose(scene: Scene) -> Proposal:
 
 
 def reflectances(scene: Scene) -> Float[Array, "thing wl"]:
-    """Of the objects."""
+    """The reflectances of the objects."""
     if not scene.objects:
         return jnp.zeros((0, len(scene.wavelength)), scene.light.direct.dtype)
     return jnp.stack([thing.reflectance for thing in scene.objects])
@@ -82,7 +81,7 @@ def medium(scene: Scene, proposal: Proposal, spectral: bool) -> Medium:
     log_floor = None
 
     def log_b(b):
-        # Where a spectral factor is carried, the derivative runs through it.
+        # If walks carry a spectral factor, it carries the derivative.
         return _log(jax.lax.stop_gradient(b) if spectral else b)
 
     if scene.floor is not None:
@@ -105,28 +104,28 @@ def _log(value: Float[Array, "..."]) -> Float[Array, "..."]:
     return jnp.log(floored) + (value - fixed) / floored
 
 
-def outer(lane: Float[Array, "..."], band: Float[Array, " wl"]) -> Float[Array, "... wl"]:
-    """lane times band, with the band as the last axis."""
-    return lane[..., None] * band.reshape((1,) * lane.ndim + (-1,))
+def outer(walk: Float[Array, "..."], band: Float[Array, " wl"]) -> Float[Array, "... wl"]:
+    """`walk` times `band`, with the band as the last axis."""
+    return walk[..., None] * band.reshape((1,) * walk.ndim + (-1,))
 
 
-def attenuated(medium: Medium, lanes: Lanes, beyond: tuple) -> Float[Array, "... wl"]:
+def attenuated(medium: Medium, walks: WalkBatch, beyond: tuple) -> Float[Array, "... wl"]:
     """The walks' weights by wavelength, without the scalar one, after further lengths by layer."""
-    exponent = jnp.zeros(lanes.weight.shape + medium.c[0].shape, lanes.weight.dtype)
+    exponent = jnp.zeros(walks.weight.shape + medium.c[0].shape, walks.weight.dtype)
     for i, more in enumerate(beyond):
-        exponent -= outer(lanes.lengths[i], medium.excess[i])
+        exponent -= outer(walks.lengths[i], medium.excess[i])
         exponent -= outer(more, medium.c[i])
-        exponent += outer(lanes.counts[i], medium.log_b[i])
+        exponent += outer(walks.counts[i], medium.log_b[i])
     if medium.log_floor is not None:
-        exponent += outer(lanes.floors, medium.log_floor)
+        exponent += outer(walks.floors, medium.log_floor)
     value = jnp.exp(exponent)
-    return value if lanes.spectral is None else value * lanes.spectral
+    return value if walks.spectral is None else value * walks.spectral
 
 
 def own_share(medium: Medium, vertex: Vertex, cosine: Float[Array, "..."]) -> Float[Array, "..."]:
-    """Share of a scattering's light that a direction drawn by the phase function stands for, beside
-    one drawn evenly: p / (p + 1/(4 pi)) with the mean phase function (balance heuristic, Veach &
-    Guibas 1995); 1 where nothing was scattered."""
+    """Weight, by the balance heuristic (Veach & Guibas 1995), of a direction drawn from the phase
+    function when another one is drawn uniformly: p / (p + 1/(4 pi)) with the mean phase function;
+    1 where nothing was scattered."""
     share = jnp.ones_like(cosine)
     for i, (rows, phases) in enumerate(zip(medium.rows, medium.phases, strict=True)):
         amounts = jax.lax.stop_gradient(jnp.mean(rows, axis=1)) + _TINY
@@ -149,11 +148,11 @@ def volume_scattering(
 
 
 def scatter(
-    medium: Medium, lanes: Lanes, vertex: Vertex, ahead: Flight, cosine: Array, density: Array
+    medium: Medium, walks: WalkBatch, vertex: Vertex, ahead: Flight, cosine: Array, density: Array
 ) -> tuple[Float[Array, "..."], Float[Array, "... wl"] | None]:
     """Scalar and spectral factors of a new direction drawn with `density` at `cosine`."""
-    scalar = jnp.ones_like(lanes.weight)
-    spectral = lanes.spectral
+    scalar = jnp.ones_like(walks.weight)
+    spectral = walks.spectral
     for i, (rows, phases) in enumerate(zip(medium.rows, medium.phases, strict=True)):
         here = vertex.scattered & (vertex.layer == i)
         ratios = [phase(cosine) / density for phase in phases]
@@ -171,17 +170,18 @@ def scatter(
     return scalar, spectral
 
 
-def comb(
+def population_control(
     medium: Medium,
-    lanes: Lanes,
+    walks: WalkBatch,
     kept: int,
     u: Float[Array, " unit"],
-    worth: Float[Array, "unit lane"] | float = 1.0,
-) -> Lanes:
-    """`kept` of the lanes of every unit (unit, lane), drawn by importance: their share of the
-    light, the mean of all bands, times what it is worth."""
-    lanes_now = jax.lax.stop_gradient(lanes)
-    nowhere = tuple(jnp.zeros_like(s) for s in lanes.lengths)
+    importance: Float[Array, "unit walk"] | float = 1.0,
+) -> WalkBatch:
+    """Roulette and splitting: `kept` of the walks of every unit, (unit, walk), drawn with
+    probability proportional to their share of the light (the mean of all bands) times
+    `importance`."""
+    lanes_now = jax.lax.stop_gradient(walks)
+    nowhere = tuple(jnp.zeros_like(s) for s in walks.lengths)
     value = lanes_now.weight[..., None] * attenuated(
         jax.lax.stop_gradient(medium), lanes_now, nowhere
     )
@@ -190,49 +190,55 @@ def comb(
     proposal_share = lanes_now.weight / jnp.maximum(
         jnp.sum(lanes_now.weight, axis=1, keepdims=True), tiny
     )
-    # A tenth by the proposal's own weights: also lanes that count only in a derivative live on.
-    return taken(lanes, *chosen((jnp.mean(shares, axis=2) + 0.1 * proposal_share) * worth, kept, u))
+    # A tenth by the proposal's own weights, so that walks that matter to derivatives alone survive.
+    return resample(
+        walks,
+        *systematic_resampling(
+            (jnp.mean(shares, axis=2) + 0.1 * proposal_share) * importance, kept, u
+        ),
+    )
 
 
-def chosen(
-    importance: Float[Array, "unit lane"], kept: int, u: Float[Array, " unit"]
+def systematic_resampling(
+    importance: Float[Array, "unit walk"], kept: int, u: Float[Array, " unit"]
 ) -> tuple[Int[Array, "unit kept"], Float[Array, "unit kept"]]:
-    """`kept` of the lanes of every unit, drawn evenly along their summed importance: which, in
-    their order, and how many copies of each are to be expected."""
+    """Systematic resampling of `kept` walks of every unit by importance: the indices drawn, in
+    order, and the expected number of copies of each."""
     most = jnp.max(importance, axis=1, keepdims=True)
     importance = jnp.where(most > 0, importance / jnp.where(most > 0, most, 1.0), 1.0)
     upto = jnp.cumsum(importance, axis=1)
     whole = upto[:, -1:]
-    # Lane i is passed by all draws from `starts` on; how many lanes a draw has passed, it takes.
+    # Draws from `starts[i]` on lie beyond walk i; a draw takes the walk whose index is the number
+    # of walks that it lies beyond.
     starts = jnp.clip(jnp.ceil(upto / whole * kept - u[:, None]), 0, kept).astype(jnp.int32)
     passed = jax.vmap(lambda at: jnp.zeros(kept + 1, jnp.int32).at[at].add(1))(starts)
-    lane = jnp.minimum(jnp.cumsum(passed, axis=1)[:, :kept], importance.shape[1] - 1)
-    return lane, kept * jnp.take_along_axis(importance, lane, axis=1) / whole
+    walk = jnp.minimum(jnp.cumsum(passed, axis=1)[:, :kept], importance.shape[1] - 1)
+    return walk, kept * jnp.take_along_axis(importance, walk, axis=1) / whole
 
 
-def taken(
-    lanes: Lanes, lane: Int[Array, "unit kept"], copies: Float[Array, "unit kept"] | None
-) -> Lanes:
-    """The lanes chosen, with weights that leave every expected value as it is."""
+def resample(
+    walks: WalkBatch, walk: Int[Array, "unit kept"], copies: Float[Array, "unit kept"] | None
+) -> WalkBatch:
+    """The walks of the given indices, with weights that leave every expected value unchanged."""
 
     def take(leaf):
-        index = lane.reshape(lane.shape + (1,) * (leaf.ndim - 2))
+        index = walk.reshape(walk.shape + (1,) * (leaf.ndim - 2))
         return jnp.take_along_axis(leaf, index, axis=1)
 
-    lanes = jax.tree.map(take, lanes)
+    walks = jax.tree.map(take, walks)
     if copies is None:
-        return lanes
-    # Rounding may choose a lane of no importance, at the end of the row.
+        return walks
+    # Rounding may choose a walk of importance 0 at the end of the row.
     there = copies > 0
-    return lanes._replace(weight=jnp.where(there, lanes.weight / jnp.where(there, copies, 1.0), 0))
+    return walks._replace(weight=jnp.where(there, walks.weight / jnp.where(there, copies, 1.0), 0))
 
 
-def settled(medium: Medium, lanes: Lanes) -> Lanes:
-    """Lanes whose spectral factor holds all that their lengths and counts did."""
-    zero = jnp.zeros_like(lanes.weight)
-    nothing = (zero,) * len(lanes.lengths)
-    spectral = attenuated(medium, lanes, nothing)
-    return lanes._replace(lengths=nothing, counts=nothing, floors=zero, spectral=spectral)
+def flush_weights(medium: Medium, walks: WalkBatch) -> WalkBatch:
+    """Walks whose lengths and counts have been moved into their spectral factor."""
+    zero = jnp.zeros_like(walks.weight)
+    nothing = (zero,) * len(walks.lengths)
+    spectral = attenuated(medium, walks, nothing)
+    return walks._replace(lengths=nothing, counts=nothing, floors=zero, spectral=spectral)
 
 
 def similar(proposal: Proposal, medium: Medium) -> tuple[Proposal, Medium]:

@@ -10,7 +10,7 @@ from oceaninv.scene.light import AbstractLamp, SpotLamp
 from oceaninv.scene.objects import blocked
 from oceaninv.scene.scene import Scene
 from oceaninv.transport.base import homogeneous
-from oceaninv.transport.closed_form._two_moment_field import Scaled
+from oceaninv.transport.closed_form._two_moment_field import DeltaScaledWater
 
 _NEAREST = 1e-3  # metres from a lamp, within which its light does not grow further
 
@@ -50,7 +50,7 @@ def _arriving(scene: Scene, lamp: AbstractLamp, at):
     distance = jnp.sqrt(jnp.sum(apart**2, axis=1) + _NEAREST**2)
     across = apart / distance[:, None]
     sent = jax.vmap(lamp.along)(across)
-    c_star = Scaled(homogeneous(scene)).softened.c_star
+    c_star = DeltaScaledWater(homogeneous(scene)).attenuation.c_star
     irradiance = sent * jnp.exp(-c_star[None, :] * distance[:, None]) / distance[:, None] ** 2
     if scene.objects:
         dark = jax.vmap(lambda x, d, r: blocked(scene.objects, x, -d, r))(at, across, distance)
@@ -59,7 +59,7 @@ def _arriving(scene: Scene, lamp: AbstractLamp, at):
 
 
 def _lit(lamp: AbstractLamp, rays: Rays, end):
-    """Where on each ray a lamp can shine, metres: from 0 to `end`, or what of it lies in a cone."""
+    """The stretch of each ray that a lamp can light, metres: 0 to `end`, or its part in a cone."""
     start = jnp.zeros_like(end)
     if not isinstance(lamp, SpotLamp):
         return start, end
@@ -97,7 +97,7 @@ def _scattered(scene: Scene, lamp: AbstractLamp, rays: Rays, end, steps: int):
     low = jnp.arctan2(first - closest, gap)
     width = (jnp.arctan2(last - closest, gap) - low) / steps
     water = homogeneous(scene)
-    c_star = Scaled(water).softened.c_star[None, :]
+    c_star = DeltaScaledWater(water).attenuation.c_star[None, :]
 
     def add(i, total):
         t = closest + gap * jnp.tan(low + (i + 0.5) * width)

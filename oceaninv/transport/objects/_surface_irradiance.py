@@ -1,4 +1,4 @@
-"""The light that falls on small facets of things, from a field that knows only depth."""
+"""The irradiance of small facets of objects in a horizontally uniform light field."""
 
 from typing import NamedTuple
 
@@ -8,12 +8,12 @@ from jaxtyping import Array, Bool, Float, Key
 from oceaninv.foundation.numerics import safe_sqrt
 from oceaninv.scene.scene import Scene
 from oceaninv.transport.base import AbstractTransport, homogeneous
-from oceaninv.transport.closed_form._two_moment_field import Scaled
+from oceaninv.transport.closed_form._two_moment_field import DeltaScaledWater
 
 _DEPTHS = 65  # at which the light is computed; between them its logarithm is linear
 
 
-class Lit(NamedTuple):
+class LightBetweenDepths(NamedTuple):
     """The light between two depths; fields (depth, wl)."""
 
     top: Float[Array, ""]
@@ -21,7 +21,7 @@ class Lit(NamedTuple):
     down: Float[Array, "depth wl"]  # diffuse, plane
     up: Float[Array, "depth wl"]
     around: Float[Array, "depth wl"]  # diffuse, scalar
-    sun: Float[Array, "depth wl"]  # across the (softened) beam
+    sun: Float[Array, "depth wl"]  # normal to the delta-scaled beam
 
 
 def light(
@@ -30,29 +30,29 @@ def light(
     top: Float[Array, ""],
     bottom: Float[Array, ""],
     key: Key[Array, ""] | None,
-) -> Lit:
-    """The light between two depths of a scene without things."""
+) -> LightBetweenDepths:
+    """The light between two depths of a scene without objects."""
     if scene.floor is not None:
         bottom = jnp.minimum(bottom, scene.floor.depth)
     share = jnp.linspace(0.0, 1.0, _DEPTHS, dtype=top.dtype)
     depths = top + share * (bottom - top)
     found = base.irradiance(scene, depths, key)
     mu0, beam = scene.beam()
-    c_star = Scaled(homogeneous(scene)).softened.c_star
+    c_star = DeltaScaledWater(homogeneous(scene)).attenuation.c_star
     sun = beam[None, :] * jnp.exp(-c_star[None, :] * depths[:, None] / mu0)
     diffuse = jnp.maximum(found.Ed.value - mu0 * sun, 0.0)
     scalar = jnp.maximum(found.E0.value - sun, 0.0)
-    return Lit(top, bottom, diffuse, found.Eu.value, scalar, sun)
+    return LightBetweenDepths(top, bottom, diffuse, found.Eu.value, scalar, sun)
 
 
 def irradiance(
     scene: Scene,
-    lit: Lit,
+    lit: LightBetweenDepths,
     at: Float[Array, "ray 3"],
     normal: Float[Array, "ray 3"],
     free: Bool[Array, " ray"],
 ) -> Float[Array, "ray wl"]:
-    """Irradiance of facets; `free`: whether nothing stands between them and the sun."""
+    """Irradiance of facets; `free`: whether nothing blocks the sun."""
     height = jnp.maximum(lit.bottom - lit.top, 1e-6)
     place = jnp.clip((at[:, 2] - lit.top) / height, 0.0, 1.0) * (_DEPTHS - 1)
     down, up, around, sun = (_between(v, place) for v in lit[2:])

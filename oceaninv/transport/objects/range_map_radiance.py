@@ -1,4 +1,4 @@
-"""Pictures of things whose distances are known: the light of any transport on a range map."""
+"""Radiance of a range map: objects at known distances in the light of any transport."""
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -23,11 +23,11 @@ def ranged_radiance(
 ) -> Estimate:
     """Radiance along the lines of sight of a camera, (ray, wl), with a range map.
 
-    A line of sight that meets something gathers the light of the water on the way (a finite ray)
-    and what the thing sends: it is Lambertian, under the sun and the diffuse light of its depth,
-    both of the same transport.  Things out of the water or under the floor do not count.  They
-    cast no shadows; light between them is neglected.  The errors stated are those of the water's
-    light.
+    The radiance of a line of sight that meets an object is that of the water on the way (a finite
+    ray) plus that of the object: it is Lambertian, under the sun and the diffuse light of its
+    depth, both of the same transport.  Objects out of the water or below the floor are ignored.
+    Objects cast no shadows, and light between them is neglected.  The errors stated are those of
+    the water's light.
     """
     fall = rays.direction[:, 2]
     depth = rays.origin[:, 2] + seen.distance * fall

@@ -1,6 +1,7 @@
-"""Objects, their shadows and lamps, on top of a light field that knows only horizontal layers."""
+"""Objects, their shadows and lamps, added to a horizontally uniform light field."""
 
 import dataclasses
+import warnings
 from typing import NamedTuple
 
 import equinox as eqx
@@ -15,36 +16,36 @@ from oceaninv.scene.scene import Scene
 from oceaninv.scene.waves import caustics, looked_up
 from oceaninv.transport.base import AbstractTransport, Estimate, Irradiance, homogeneous
 from oceaninv.transport.closed_form._ray_integral import ENDLESS
-from oceaninv.transport.closed_form._two_moment_field import Scaled
+from oceaninv.transport.closed_form._two_moment_field import DeltaScaledWater
 from oceaninv.transport.objects import _surface_irradiance
 from oceaninv.transport.objects._lamplight import lamplight
 
 _STEEP = 1e-3
 
 
-class Met(NamedTuple):
-    """What each ray meets: see `oceaninv.objects.Hit`, with a leading axis for rays."""
+class Hits(NamedTuple):
+    """The object that each ray meets: `oceaninv.objects.Hit` with a leading axis for rays."""
 
     distance: Float[Array, " ray"]
     normal: Float[Array, "ray 3"]
     reflectance: Float[Array, "ray wl"]
 
 
-class Shadows(AbstractTransport):
-    """Things in the water, lit and seen through the light field of a cheaper transport.
+class WithObjects(AbstractTransport):
+    """Objects, lamps and caustics, added to the light field of a transport without them.
 
     `photograph` and `radiance` put it around `TwoStream`, `FourStream`, `KdTransport` and
     `PlaneParallel` when a scene has objects or lamps; make one yourself to set `steps`.
 
-    **Arguments:** `base`: the transport; `steps`: at which sunlight (and lamplight) along a line
-    of sight is asked whether something blocks it, within the stretch where that is possible.
+    **Arguments:** `base`: the transport; `steps`: number of points along a line of sight at which
+    sunlight (and lamplight) is tested for obstruction, within the stretch where that is possible.
 
     - **Solves**: objects as Lambertian surfaces under the sun, where it reaches them, and under
       the diffuse light of their depth; the water in front of them; their shadows on the floor, on
       each other and in sunlight scattered once; their images in the surface; lamps with single
       scattering; the caustics of waves on the floor, of the sun's unscattered light, where
       objects leave it free.
-    - **Neglects**: the diffuse light that objects take from each other, from the floor and from
+    - **Neglects**: the diffuse light that objects block from each other, from the floor and from
       the water; blur by scattering through small angles at the edges of shadows; lamplight
       scattered more than once; caustics on objects, in the water and mirrored in the surface;
       layers (ValueError).
@@ -57,14 +58,14 @@ class Shadows(AbstractTransport):
     base: AbstractTransport
     steps: int = 48
 
-    sees_things = True
+    draws_objects = True
 
     def radiance(self, scene: Scene, rays: Rays, key: Key[Array, ""] | None = None) -> Estimate:
         """See `oceaninv.radiance`."""
         return _drawn(self, scene, rays, key)
 
     def _whole(self, scene: Scene, rays: Rays, key) -> Estimate:
-        """Radiance along rays, with caustics and what is mirrored in the surface."""
+        """Radiance along rays, with caustics and reflections in the surface."""
         line = _line(scene, rays)
         whole = self._with_images(scene, line, key)
         if scene.floor is None or scene.surface is None or scene.surface.waves is None:
@@ -85,9 +86,9 @@ class Shadows(AbstractTransport):
             return self._seen(scene, second, water, light).value - alone.value
 
         if self.base.in_pieces:
-            # Cheap to compile again: pieces of a picture without such rays save the work.
+            # Cheap to compile again, and skipped for pieces of a picture without such rays.
             whole = self._seen(scene, line, self._water(bare, line, key), light)
-            extra = _where_any(
+            extra = _if_any(
                 free,
                 lambda: change(self._water(bare, second, key), self._water(bare, endless, key)),
                 whole.value,
@@ -95,7 +96,7 @@ class Shadows(AbstractTransport):
         else:
             water, *images = self._together(bare, (line, second, endless), key)
             whole = self._seen(scene, line, water, light)
-            extra = _where_any(free, lambda: change(*images), whole.value)
+            extra = _if_any(free, lambda: change(*images), whole.value)
         extra = jnp.where(free[:, None], share * extra, 0.0)
         return Estimate(whole.value + extra, whole.stderr, whole.bias)
 
@@ -123,13 +124,13 @@ class Shadows(AbstractTransport):
         if not scene.objects and not scene.lamps:
             return self.base.irradiance(scene, depths, key)  # of waves, the mean over a tile
         raise ValueError(
-            "Shadows draws pictures; irradiance at a depth is not one number where objects or lamps"
-            " stand: take MonteCarlo, or leave them out."
+            "WithObjects computes radiance and photographs only; irradiance is not a function of"
+            " depth alone where a scene holds objects or lamps: leave them out of the scene."
         )
 
     def _seen(self, scene: Scene, line, path: Estimate, light) -> Estimate:
-        """Radiance along lines of sight, without what is mirrored in the surface, given the light
-        of the water along them and that on objects."""
+        """Radiance along lines of sight, without reflections in the surface, given the light of the
+        water along them and the light on objects."""
         rays, hit, met, length = line
         water = homogeneous(scene)
         value = path.value
@@ -143,23 +144,23 @@ class Shadows(AbstractTransport):
         at = rays.origin + near[:, None] * rays.direction
         through = jnp.exp(-water.c[None, :] * near[:, None])
         if scene.objects:
-            sent = _where_any(met, lambda: _on_objects(scene, light, hit, at), value)
+            sent = _if_any(met, lambda: _on_objects(scene, light, hit, at), value)
             shown = jnp.where(met[:, None], sent, 0.0)
             if scene.floor is not None:
                 shown = shown - _floor_shadow(scene, at, on_floor)
             value = value + shown * through
             stretch = _possible(scene, rays, end)
             shaded = stretch.last > stretch.first
-            value = value - _where_any(
-                shaded, lambda: self._shaded_path(scene, rays, stretch), value
-            )
+            value = value - _if_any(shaded, lambda: self._shaded_path(scene, rays, stretch), value)
         if scene.lamps:
             value = value + lamplight(
                 scene, rays, end, hit.normal, hit.reflectance, met, on_floor, through, self.steps
             )
         return Estimate(value, path.stderr, path.bias)
 
-    def _light(self, scene: Scene, bare: Scene, key) -> _surface_irradiance.Lit | None:
+    def _light(
+        self, scene: Scene, bare: Scene, key
+    ) -> _surface_irradiance.LightBetweenDepths | None:
         """The light on objects."""
         if not scene.objects:
             return None
@@ -177,10 +178,10 @@ class Shadows(AbstractTransport):
         mu0, beam = scene.beam()
         first, last = stretch.first, stretch.last
         width = (last - first) / self.steps
-        softened = Scaled(homogeneous(scene)).softened
+        attenuation = DeltaScaledWater(homogeneous(scene)).attenuation
         half_sine = scattering_half_sine(rays.direction, mu0)
-        small = -jnp.expm1(-2.0 * half_sine / softened.aureole)
-        c = softened.c[None, :] - softened.forward[None, :] * small[:, None]
+        small = -jnp.expm1(-2.0 * half_sine / attenuation.aureole)
+        c = attenuation.c[None, :] - attenuation.forward[None, :] * small[:, None]
         growth = 1.0 + rays.direction[:, 2] / mu0  # of the way from the surface to the eye
         onward = growth >= 0
         bright = jnp.where(onward, first, last)
@@ -194,7 +195,7 @@ class Shadows(AbstractTransport):
             return total * ratio + dark.astype(total.dtype)[:, None]
 
         total = jax.lax.fori_loop(0, self.steps, add, jnp.zeros_like(ratio))
-        # Where nothing is blocked, no exponent may spoil the gradient.
+        # Keeps the exponent of unused elements finite, so that gradients stay finite.
         way = rays.origin[:, 2] / mu0 + growth * bright
         begin = jnp.exp(-c * jnp.maximum(way, 0.0)[:, None])
         turned = homogeneous(scene).volume_scattering(1.0 - 2.0 * half_sine**2)
@@ -202,8 +203,14 @@ class Shadows(AbstractTransport):
         return turned * beam[None, :] * begin * width[:, None] * mean * total
 
 
+def Shadows(base: AbstractTransport, steps: int = 48) -> WithObjects:
+    """The former name of `WithObjects`."""
+    warnings.warn("Shadows is now WithObjects.", DeprecationWarning, stacklevel=2)
+    return WithObjects(base, steps)
+
+
 @eqx.filter_jit
-def _drawn(transport: Shadows, scene: Scene, rays: Rays, key) -> Estimate:
+def _drawn(transport: WithObjects, scene: Scene, rays: Rays, key) -> Estimate:
     return transport._whole(scene, rays, key)
 
 
@@ -211,7 +218,7 @@ class _Line(NamedTuple):
     """Lines of sight and where they end: at an object if `met`, or at `length` metres."""
 
     rays: Rays
-    hit: Met
+    hit: Hits
     met: Bool[Array, " ray"]
     length: Float[Array, " ray"]
 
@@ -225,7 +232,7 @@ def _line(scene: Scene, rays: Rays) -> _Line:
 
 
 def _images(scene: Scene, rays: Rays) -> tuple[Rays, Float[Array, "ray wl"]]:
-    """Lines of sight that look up, mirrored in the surface, and what of their light arrives."""
+    """Upward lines of sight, mirrored in the surface, and the share of their light that arrives."""
     assert scene.surface is not None
     z, steep = rays.origin[:, 2], jnp.maximum(jnp.abs(rays.direction[:, 2]), _STEEP)
     rise = z / steep
@@ -234,12 +241,14 @@ def _images(scene: Scene, rays: Rays) -> tuple[Rays, Float[Array, "ray wl"]]:
     across = rays.origin[:, :2] + rise[:, None] * rays.direction[:, :2]
     mirrored = Rays(jnp.concatenate([across, jnp.zeros_like(rise)[:, None]], axis=1), turned)
     share = fresnel_from_water(steep, scene.surface.index.astype(z.dtype))
-    thinned = jnp.exp(-Scaled(homogeneous(scene)).softened.c_star[None, :] * rise[:, None])
+    thinned = jnp.exp(
+        -DeltaScaledWater(homogeneous(scene)).attenuation.c_star[None, :] * rise[:, None]
+    )
     return mirrored, share[:, None] * thinned
 
 
 def _on_objects(
-    scene: Scene, light: _surface_irradiance.Lit, hit: Met, at
+    scene: Scene, light: _surface_irradiance.LightBetweenDepths, hit: Hits, at
 ) -> Float[Array, "ray wl"]:
     """Radiance that objects send to the eye: sun where it reaches them, and diffuse light."""
     free = ~_blocked(scene, at, _surface_irradiance.to_sun(scene))
@@ -259,21 +268,21 @@ def _blocked(scene: Scene, at, towards) -> Bool[Array, " ray"]:
     return jax.vmap(lambda x: blocked(scene.objects, x, towards, far))(at)
 
 
-def _meet(scene: Scene, rays: Rays) -> tuple[Met, Bool[Array, " ray"]]:
+def _meet(scene: Scene, rays: Rays) -> tuple[Hits, Bool[Array, " ray"]]:
     """The nearest object of each ray, and whether it is met above the floor."""
     if not scene.objects:
         shape = rays.origin.shape[0]
         distance = jnp.full((shape,), jnp.inf, rays.origin.dtype)
         none = jnp.zeros((shape, len(scene.wavelength)), rays.origin.dtype)
-        return Met(distance, jnp.zeros_like(rays.origin), none), jnp.zeros((shape,), bool)
+        return Hits(distance, jnp.zeros_like(rays.origin), none), jnp.zeros((shape,), bool)
     hit = jax.vmap(lambda o, d: nearest(scene.objects, o, d))(rays.origin, rays.direction)
     met = jnp.isfinite(hit.distance)
     floor = _to_floor(scene, rays)
     if floor is not None:
         met = met & ((rays.direction[:, 2] <= 0) | (hit.distance < floor))
-    # A far point of no meaning, lest infinities reach a gradient.
+    # A placeholder distance, so that no infinity reaches a gradient.
     distance = jnp.where(met, hit.distance, 0.0)
-    return Met(distance, hit.normal, hit.reflectance), met
+    return Hits(distance, hit.normal, hit.reflectance), met
 
 
 def _to_floor(scene: Scene, rays: Rays) -> Float[Array, " ray"] | None:
@@ -284,17 +293,17 @@ def _to_floor(scene: Scene, rays: Rays) -> Float[Array, " ray"] | None:
 
 
 def _floor_shadow(scene: Scene, at, on_floor) -> Float[Array, "ray wl"]:
-    """Radiance that the floor lacks where an object stands between it and the sun."""
+    """Radiance that is missing from the floor where an object blocks the sun."""
     assert scene.floor is not None
     mu0, beam = scene.beam()
     dark = on_floor & _blocked(scene, at, _surface_irradiance.to_sun(scene))
-    c_star = Scaled(homogeneous(scene)).softened.c_star
+    c_star = DeltaScaledWater(homogeneous(scene)).attenuation.c_star
     sun = mu0 * beam * jnp.exp(-c_star * scene.floor.depth / mu0)
     return jnp.where(dark[:, None], (scene.floor.reflectance * sun / jnp.pi)[None, :], 0.0)
 
 
 def _caustics(scene: Scene, line: _Line) -> Float[Array, "ray wl"]:
-    """What waves add to the light of the floor (or take from it), 0 on average over a tile."""
+    """Change of the floor's radiance by caustics of waves, 0 on average over a tile."""
     surface, floor, rays = scene.surface, scene.floor, line.rays
     far = _to_floor(scene, rays)
     assert floor is not None
@@ -333,7 +342,7 @@ def _bounds(thing) -> tuple[Float[Array, "3"], Float[Array, ""]]:
 class _Stretch(NamedTuple):
     """Where on its way a ray may be in the shadow of objects, metres: from `first` to `last`.
 
-    `spheres`: (enter, leave) of each sphere's shadow; other objects are asked point by point.
+    `spheres`: (enter, leave) of each sphere's shadow; other objects are tested point by point.
     """
 
     first: Float[Array, " ray"]
@@ -356,9 +365,9 @@ class _Stretch(NamedTuple):
         return dark
 
 
-def _where_any(lanes, compute, like):
-    """compute() if any lane needs it, else zeros: whole pieces of a picture save the work."""
-    return jax.lax.cond(jnp.any(lanes), compute, lambda: jnp.zeros_like(like))
+def _if_any(rays, compute, like):
+    """compute() if any ray needs it, else zeros, which saves work for whole pieces of a picture."""
+    return jax.lax.cond(jnp.any(rays), compute, lambda: jnp.zeros_like(like))
 
 
 def _possible(scene: Scene, rays: Rays, end) -> _Stretch:

@@ -1,4 +1,4 @@
-"""Inelastic light between wavelengths: what excites, what it makes the water emit, and so on."""
+"""Orders of inelastic scattering: the light of each order excites the emission of the next."""
 
 import jax
 import jax.numpy as jnp
@@ -28,16 +28,15 @@ def emission(
     columns: _column.Column,
     bases: Basis,
     sources: _column.Sources,
-    generations: int,
+    inelastic_orders: int,
 ) -> _inelastic_source.Column:
     """Emitted light, axes (order, wl) as those of `columns`, which hold the light that excites.
 
-    The first generation is excited by light that never changed its wavelength, the next ones by
-    the one before.
+    Light that has not changed its wavelength excites the first order; each order excites the next.
     """
-    every = [column for column, _ in _each(scene, columns, bases, sources, generations)]
+    every = [column for column, _ in _each(scene, columns, bases, sources, inelastic_orders)]
     total = jax.tree.map(lambda *parts: sum(parts[1:], parts[0]), *every)
-    # Amplitudes add up; the rates at which the exponentials fall off are those of each.
+    # Amplitudes add up; the decay rates of the exponentials are the same for every order.
     down, up = (
         beam._replace(nu=own.nu)
         for beam, own in zip(total.glow[:2], every[0].glow[:2], strict=True)
@@ -50,22 +49,22 @@ def left(
     columns: _column.Column,
     bases: Basis,
     sources: _column.Sources,
-    generations: int,
+    inelastic_orders: int,
 ) -> Float[Array, ""]:
-    """Bound on all further generations, relative to the last one.
+    """Bound on all further inelastic orders, relative to the last one.
 
-    If no source of a generation exceeds q times that of the one before, anywhere and at any
-    wavelength, neither does its light: the rest is less than q/(1 - q) of the last.
+    If no source of an order exceeds q times that of the order before, at any depth and wavelength,
+    neither does its light: the sum of further orders is less than q/(1 - q) of the last.
     """
-    every = list(_each(scene, columns, bases, sources, generations + 1))
+    every = list(_each(scene, columns, bases, sources, inelastic_orders + 1))
     last, following = every[-2][1][0, ..., 0], every[-1][1][0, ..., 0]
     exist = following > 0
     q = jnp.max(jnp.where(exist, following / jnp.where(exist, last, 1.0), 0.0))
     return jnp.where(q < 1, q / (1 - q), jnp.nan)
 
 
-def _each(scene, columns, bases, sources, generations):
-    """(Column, source) of each generation; source: (order, wl, layer, depth, degree)."""
+def _each(scene, columns, bases, sources, inelastic_orders):
+    """(Column, source) of each inelastic order; source: (azimuth, wl, layer, depth, degree)."""
     assert scene.inelastic is not None
     waters = layers_of(scene)
     dtype = columns.layer.depth.dtype
@@ -91,7 +90,7 @@ def _each(scene, columns, bases, sources, generations):
     excite = over_all(_inelastic_source.excitation, every, basis, (None, 0, None), basis, layered)
     exciting = excite(columns, bases, sources.sun, sources.angular[:count], below)
     solved = None
-    for _ in range(generations):
+    for _ in range(inelastic_orders):
         if solved is not None:
             again = over_all(_inelastic_source.emitted, *(every,) * 4, basis, layered)
             parts = (columns.layer, columns.modes, solved.glow, solved.field)
@@ -114,7 +113,7 @@ def _floor_axes(sources: _column.Sources) -> _column.Sources:
 def _grids(
     scene: Scene, waters: tuple[IOPs, ...], columns: _column.Column
 ) -> _inelastic_source.Grid:
-    """Depths and rates for each layer.  Light falls off at least as fast as absorption."""
+    """Depths and rates for each layer.  Light decays at least as fast as absorption demands."""
     a = jnp.stack([water.a for water in waters])
     c = jnp.stack([water.c for water in waters])
     slowest = jnp.maximum(jnp.min(a), 1e-3 * jnp.max(c))

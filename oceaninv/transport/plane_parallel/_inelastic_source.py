@@ -1,10 +1,10 @@
 """Light that inelastic processes emit in the water, for one wavelength and azimuth order.
 
-The source of a layer, which follows the light that excites it, is written as a sum of exponentials
-of depth, fast and slow ones in geometric steps: least squares at depths that are just as
-graded.  Each exponential is then solved as exactly as the sunbeam is, by the same functions.
-Over a floor a second set falls off upwards: the same problem seen from below, where down and up,
-and with them the sign of what is odd in direction, change places.
+The source of a layer is proportional to the light that excites it.  It is fitted by a sum of
+exponentials of depth, with rates in geometric steps, by least squares at depths that are graded in
+the same way.  Each exponential is then solved as exactly as the sunbeam, by the same functions.
+Over a floor a second set decays upwards: the same problem seen from below, in which down and up,
+and with them the sign of odd functions of direction, are exchanged.
 """
 
 from typing import NamedTuple
@@ -21,21 +21,21 @@ from oceaninv.transport.plane_parallel import _matrix_functions as mf
 # Rates from half the slowest to 10^4 times as fast, and 1.5 depths for each.
 _RATES, _RANGE = 56, 1e4
 _DEPTHS = 85  # odd
-_REACH = 20.0  # decay lengths of the slowest that are looked at
+_REACH = 20.0  # depth of the grid in endless water, in decay lengths of the slowest exponential
 DEGREES = 3  # Legendre degrees of an emission: isotropic, or as of a dipole
 
 
 class Grid(NamedTuple):
-    """Depths of a layer and exponentials that fit what is known there; all of it held fixed."""
+    """Depths of a layer and the exponentials fitted at them; derivatives do not pass through."""
 
     below: Array  # (depth,) m below the top of the layer
     rate: Array  # (rate,) 1/m
-    weight: Array  # (depth,) by which values are divided before they are fitted
-    fit: Array  # (2 rate, depth): first those that fall off downwards, then upwards
+    weight: Array  # (depth,) divisor of the values before the fit
+    fit: Array  # (2 rate, depth): exponentials that decay downwards, then those upwards
 
 
 class Glow(NamedTuple):
-    """The sources of a layer: exponentials that fall off downwards, and upwards."""
+    """The sources of a layer: exponentials that decay downwards, and upwards."""
 
     down: _layer_modes.Beam  # leading axis (rate,); in `nu` per optical depth
     up: _layer_modes.Beam
@@ -50,8 +50,8 @@ class Column(NamedTuple):
 
 
 def grid(slowest: Float[Array, ""], thickness: Float[Array, ""] | None) -> Grid:
-    """Depths and rates for a layer (`thickness` None: endless) in which no excitation falls off
-    more slowly than `slowest` (1/m)."""
+    """Depths and rates for a layer (`thickness` None: endless) in which no excitation decays more
+    slowly than `slowest` (1/m)."""
     dtype = slowest.dtype
     steps = jnp.asarray(np.geomspace(0.5, _RANGE, _RATES), dtype=dtype)
     graded = np.geomspace(0.05 / _RANGE, 1.0, _DEPTHS - 1)
@@ -59,7 +59,7 @@ def grid(slowest: Float[Array, ""], thickness: Float[Array, ""] | None) -> Grid:
         rate, both = slowest * steps, 0.0
         below = jnp.asarray(np.concatenate([[0.0], graded]) * _REACH, dtype=dtype) / slowest
     else:
-        # In a thin layer the slowest look all alike.
+        # In a thin layer slower exponentials cannot be told apart.
         rate, both = jnp.maximum(slowest, 1 / thickness) * steps, 1.0
         half = np.concatenate([[0.0], graded[::2] / 2])
         share = jnp.asarray(np.concatenate([half, 1 - half[-2::-1]]), dtype=dtype)
@@ -83,7 +83,7 @@ def moments(basis: Basis, down, up) -> Float[Array, "degree"]:
     even = basis.even.T @ (basis.turn @ ((down + up) / root_mu))
     odd = basis.odd.T @ ((down - up) / root_mu)
     both = jnp.stack([even, odd], axis=1).reshape(-1)[:DEGREES]
-    # From l - m = 0, 1, ... to l = 0, 1, ...: what wraps around belongs to l < m, and is 0.
+    # From l - m = 0, 1, ... to l = 0, 1, ...: elements that wrap around have l < m and are 0.
     return (
         2 * np.pi * jnp.where(jnp.arange(DEGREES) >= basis.order, jnp.roll(both, basis.order), 0.0)
     )
@@ -92,8 +92,8 @@ def moments(basis: Basis, down, up) -> Float[Array, "degree"]:
 def excitation(
     column: _column.Column, basis: Basis, sun, angular, below
 ) -> Float[Array, "depth degree"]:
-    """Moments of the light at depths (m) below the top of one layer of a column, the sunbeam's
-    among them; `sun` and `angular` as in `_column.Sources`."""
+    """Moments of the light, sunbeam included, at depths (m) below the top of one layer of a column;
+    `sun` and `angular` as in `_column.Sources`."""
 
     def at(z):
         share = z * column.layer.extinction / column.layer.depth
@@ -113,7 +113,7 @@ def emitted(
     basis: Basis,
     below,
 ) -> Float[Array, "depth degree"]:
-    """The same of light that was itself emitted."""
+    """The same for light that was itself emitted."""
 
     def at(z):
         share = z * layer.extinction / layer.depth
@@ -155,7 +155,7 @@ def solve(
     basis: Basis,
     sources: _column.Sources,
 ) -> Column:
-    """The field of what all layers (leading axis) emit, between the same floor and surface."""
+    """The field of the light that all layers (leading axis) emit, between floor and surface."""
     endless = sources.floor is None and layers.depth.shape[0] == 1
 
     def respond(layer, modes, glow):

@@ -83,9 +83,9 @@ def test_every_dial_has_its_models(file):
     assert not any("bands" in model.name for model in candidate_models(scene, "irradiance"))
     glowing = dataclasses.replace(scene, inelastic=oi.Inelastic(oi.Raman()))
     names = [model.name for model in candidate_models(glowing, "photograph")]
-    assert "PlaneParallel(8, 6, generations=2)" in names
+    assert "PlaneParallel(8, 6, inelastic_orders=2)" in names
     assert "TwoStream, elastic" in names
-    assert "generations=3" in references(glowing, "photograph")[0].name
+    assert "inelastic_orders=3" in references(glowing, "photograph")[0].name
 
 
 @pytest.mark.slow

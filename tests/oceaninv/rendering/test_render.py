@@ -45,7 +45,7 @@ def scene(tmp_path_factory):
 @pytest.fixture(scope="module")
 def drawn(scene):
     found = oi.load_scene(scene)
-    transport = oi.Shadows(oi.TwoStream(), 48)
+    transport = oi.WithObjects(oi.TwoStream(), 48)
     picture = render.draw(found, transport, veil=True)
     return found, picture, render.metadata(scene, found, transport, 5, picture)
 

@@ -137,5 +137,5 @@ def test_not_modelled():
     with pytest.raises(ValueError, match="not modelled"):
         oi.radiance(scene(), up)
     aside = oi.Rays([0.0, 0.0, 2.0], [[0.0, 0.8, 0.6]])
-    with pytest.raises(ValueError, match="MonteCarlo knows no waves"):
+    with pytest.raises(ValueError, match="MonteCarlo does not solve waves"):
         oi.radiance(scene(), aside, oi.MonteCarlo(paths=4))

@@ -167,5 +167,5 @@ def test_skies_that_are_refused():
     with pytest.raises(ValueError, match="two vectors of one length"):
         oi.TabulatedSky([0.0, 90.0], [1.0, 1.0, 2.0])
     light = oi.Light(30.0, jnp.ones(2), jnp.ones(2), oi.CardioidalSky())
-    with pytest.raises(ValueError, match="TwoStream knows uniform skies only"):
+    with pytest.raises(ValueError, match="TwoStream solves uniform skies only"):
         oi.irradiance(scene(light), [1.0])

@@ -36,7 +36,9 @@ def scene(floor=FLOOR, inelastic=None, light=None, surface=True):
 
 @pytest.fixture(scope="module")
 def ten():
-    return oi.energy_budget(scene(inelastic=PROCESSES), oi.MonteCarlo(2**11, 32, generations=2))
+    return oi.energy_budget(
+        scene(inelastic=PROCESSES), oi.MonteCarlo(2**11, 32, inelastic_orders=2)
+    )
 
 
 def test_ten_events_close(ten):
@@ -55,7 +57,7 @@ def test_ten_events_close(ten):
 def test_inelastic_light_is_that_of_the_exact_scalar_irradiance(ten):
     """Raman: b_R times the depth's integral of E0, 1e-6 of which none goes astray (the balance
     above); its light and that of the fluorescences is absorbed or leaves: exact fluxes."""
-    exact = oi.PlaneParallel(16, generations=2)
+    exact = oi.PlaneParallel(16, inelastic_orders=2)
     node, weight = np.polynomial.legendre.leggauss(24)
     field = oi.irradiance(scene(inelastic=PROCESSES), 2.0 * (1 + node), exact)
     light = 2.0 * weight @ np.asarray(field.E0.value)

@@ -201,5 +201,5 @@ def test_errors_say_what_is_missing():
     with pytest.raises(ValueError, match="quantum_yield must be finite and between 0 and 1"):
         ChlorophyllFluorescence(1.5)
     scene = oi.Scene(water(), oi.Light(30.0, jnp.ones(50)), inelastic=Inelastic(Raman()))
-    with pytest.raises(ValueError, match="TwoStream knows no inelastic processes"):
+    with pytest.raises(ValueError, match="TwoStream does not solve inelastic processes"):
         oi.irradiance(scene, [1.0])

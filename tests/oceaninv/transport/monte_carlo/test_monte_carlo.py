@@ -204,7 +204,7 @@ def test_chunks_do_not_matter(layered, monkeypatch):
     found = oi.radiance(LAYERED, LOOKS, oi.MonteCarlo(2**12), key=jax.random.key(3))
     np.testing.assert_allclose(found.value, layered.value, rtol=1e-12)
     np.testing.assert_allclose(found.stderr, layered.stderr, rtol=1e-9)
-    transport = oi.MonteCarlo(2**12, 6, thin=False)
+    transport = oi.MonteCarlo(2**12, 6, roulette=False)
     fluxes = below(P, jax.random.key(3), transport)
     monkeypatch.setattr(_event_loop, "_CHUNK", 100)
     jax.clear_caches()
@@ -232,13 +232,13 @@ def test_the_error_of_ordered_walks_is_that_between_keys():
 def test_order_pays(monkeypatch):
     """Walks that take the same points in no order have greater errors."""
     monkeypatch.setattr(_forward, "grouped", lambda paths: 1024)
-    transport, key = oi.MonteCarlo(2**15, 8, thin=False), jax.random.key(12)
-    ordered = below(THICK, key, transport)[1]
+    transport, key = oi.MonteCarlo(2**15, 8, roulette=False), jax.random.key(12)
+    sorted_and_resampled = below(THICK, key, transport)[1]
     monkeypatch.setattr(
         _array_rqmc, "places", lambda z, _: jnp.broadcast_to(jnp.arange(z.shape[1]), z.shape)
     )
     jax.clear_caches()
-    ratio = below(THICK, key, transport)[1] / ordered
+    ratio = below(THICK, key, transport)[1] / sorted_and_resampled
     jax.clear_caches()
     assert np.exp(np.log(ratio).mean()) > 1.3, ratio
 
@@ -246,7 +246,7 @@ def test_order_pays(monkeypatch):
 @pytest.mark.slow
 def test_longer_flights_and_the_worth_of_walks_up_pay(monkeypatch):
     """Deep in water that absorbs."""
-    transport, key = oi.MonteCarlo(2**15, 16, thin=False), jax.random.key(14)
+    transport, key = oi.MonteCarlo(2**15, 16, roulette=False), jax.random.key(14)
     now = below(DEEP, key, transport)[1]
     for name in ("_LONGER", "_TILT"):
         monkeypatch.setattr(_forward, name, 0.0)

@@ -89,13 +89,13 @@ def lit():
     return oi.Scene(water, light, oi.FlatSurface(1.34), floor, inelastic=Inelastic(Raman(2.6e-2)))
 
 
-@pytest.mark.parametrize("generations", [1, pytest.param(2, marks=pytest.mark.slow)])
-def test_irradiance_against_the_exact_one(lit, generations):
+@pytest.mark.parametrize("inelastic_orders", [1, pytest.param(2, marks=pytest.mark.slow)])
+def test_irradiance_against_the_exact_one(lit, inelastic_orders):
     """Raman light a hundred times as strong as it is: Ed, Eu and E0 at three depths."""
     depths = A([0.0, 2.0, 6.0])
-    transport = oi.MonteCarlo(2**13, 24, generations=generations)
+    transport = oi.MonteCarlo(2**13, 24, inelastic_orders=inelastic_orders)
     found = oi.irradiance(lit, depths, transport, key=jax.random.key(3))
-    exact = oi.irradiance(lit, depths, oi.PlaneParallel(16, generations=generations))
+    exact = oi.irradiance(lit, depths, oi.PlaneParallel(16, inelastic_orders=inelastic_orders))
     for name in ("Ed", "Eu", "E0"):
         own, value = getattr(found, name), np.asarray(getattr(exact, name).value)
         z = (np.asarray(own.value) - value) / np.asarray(own.stderr)
@@ -104,8 +104,8 @@ def test_irradiance_against_the_exact_one(lit, generations):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("generations", [2, 3])
-def test_radiance_of_every_change_against_the_exact_one(generations):
+@pytest.mark.parametrize("inelastic_orders", [2, 3])
+def test_radiance_of_every_change_against_the_exact_one(inelastic_orders):
     """Blue light alone enters, and Raman scattering a hundred times as strong as it is takes it
     from band to band: the third can only be reached by two changes, the fourth by three.  Looking
     down at the floor, up, and level, two layers."""
@@ -124,11 +124,11 @@ def test_radiance_of_every_change_against_the_exact_one(generations):
     rays = oi.Rays(
         A([[0.0, 0.0, 1.0]] * 3), A([[0.0, 0.0, 1.0], [0.6, 0.0, -0.8], [0.0, 1.0, 0.0]])
     )
-    transport = oi.MonteCarlo(2**14, 20, generations=generations)
+    transport = oi.MonteCarlo(2**14, 20, inelastic_orders=inelastic_orders)
     found = oi.radiance(scene, rays, transport, key=jax.random.key(5))
-    exact = oi.radiance(scene, rays, oi.PlaneParallel(12, generations=generations)).value
+    exact = oi.radiance(scene, rays, oi.PlaneParallel(12, inelastic_orders=inelastic_orders)).value
     value, stderr = np.asarray(found.value), np.asarray(found.stderr)
-    z = (value - np.asarray(exact))[:, : generations + 1] / stderr[:, : generations + 1]
+    z = (value - np.asarray(exact))[:, : inelastic_orders + 1] / stderr[:, : inelastic_orders + 1]
     assert np.abs(z).max() < 3.5, z
-    assert (stderr[:, generations] < 0.1 * value[:, generations]).all()
-    assert (value[:, generations + 1 :] < 0.2 * value[:, generations, None]).all()
+    assert (stderr[:, inelastic_orders] < 0.1 * value[:, inelastic_orders]).all()
+    assert (value[:, inelastic_orders + 1 :] < 0.2 * value[:, inelastic_orders, None]).all()

@@ -84,15 +84,15 @@ def test_flights_drawn_at_another_rate_bring_the_same_light_everywhere(rate, flo
     proposal = _random_walk.Proposal(A([sigma]), tables, A(0.5), none, A([sigma]))
     direction = (0.6 * one, 0.0 * one, steep * one)
     blank = (0.0 * one,)
-    lanes = _random_walk.Lanes(
+    walks = _random_walk.WalkBatch(
         (0.0 * one,) * 3, direction, one, blank, blank, 0.0 * one, None, None
     )
     words = _random_numbers.key_words(jax.random.key(8))
     u = _random_numbers.uniforms(
         jnp.arange(DRAWS, dtype=jnp.uint32), jnp.uint32(0), words, jnp.float64
     )
-    ahead = _random_walk.flight(domain, proposal, lanes)
-    after, vertex = _random_walk.advance(domain, proposal, lanes, ahead, u, rate * one)
+    ahead = _random_walk.flight(domain, proposal, walks)
+    after, vertex = _random_walk.advance(domain, proposal, walks, ahead, u, rate * one)
     edges = np.linspace(0.0, 1.5, 16)
     z, weight = np.asarray(after.position[2]), np.asarray(after.weight)
     bins = (np.digitize(z, edges) - 1)[None, :] == np.arange(15)[:, None]
@@ -122,7 +122,7 @@ def test_lanes_share_the_strata_of_every_number():
         np.testing.assert_array_equal(strata, np.tile(np.arange(32), (len(units), 1)))
     pairs = [(first[i][:, 5], first[j][:, 5]) for i in range(4) for j in range(i)]
     pairs += [(first[i][:, 5], second[j][:, 5]) for i in range(4) for j in range(4)]
-    pairs += [(first[0][:, 5], first[1][:, lane]) for lane in (0, 4, 21)]
+    pairs += [(first[0][:, 5], first[1][:, walk]) for walk in (0, 4, 21)]
     for x, y in pairs:
         counts, *_ = np.histogram2d(x, y, 16, ((0, 1), (0, 1)))
         assert stats.chisquare(counts.ravel()).pvalue > 1e-4

@@ -1,4 +1,4 @@
-"""Inelastic light in PlaneParallel: closed forms, energy, layers, floor, generations."""
+"""Inelastic light in PlaneParallel: closed forms, energy, layers, floor, orders."""
 
 import json
 
@@ -155,12 +155,12 @@ def test_identical_layers_are_one(floor):
 
 
 @pytest.mark.slow
-def test_generations():
+def test_inelastic_orders():
     """Each excites the next; what is left after one is within its bound."""
     given = natural()
     z = jnp.asarray([0.5, 5.0])
     base = oi.PlaneParallel(6).fluxes(without(given), z).E0
-    found = [oi.PlaneParallel(6, generations=g).fluxes(given, z).E0 - base for g in (1, 2, 3)]
+    found = [oi.PlaneParallel(6, inelastic_orders=g).fluxes(given, z).E0 - base for g in (1, 2, 3)]
     left = float(oi.PlaneParallel(6).inelastic_left(given))
     assert 0 < left < 0.1
     assert (found[1] >= found[0] * (1 - 1e-9)).all()
