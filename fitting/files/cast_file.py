@@ -9,7 +9,12 @@ import numpy as np
 
 from fitting.files import cast_netcdf, seabass
 from fitting.files.csv_sheet import Sheet, header_number, read_sheet
-from fitting.files.irradiance_units import depth_kind, irradiance_factor, irradiance_units_in
+from fitting.files.irradiance_units import (
+    depth_kind,
+    irradiance_factor,
+    irradiance_units_in,
+    par_factor,
+)
 from fitting.files.raw_cast import RawCast
 from fitting.observations.profile import Profile
 
@@ -22,10 +27,18 @@ _KINDS |= {"euz": "Eu", "eu": "Eu", "luz": "Lu", "lu": "Lu"}
 # Without pure water's, as SeaBASS names them (gelbstoff and particles).
 _BEAM = re.compile(r"(?i)(?P<kind>[ac])gp[_ ]?\(?(?P<nm>\d{3}(?:\.\d+)?)\)?$")
 _PER_METRE = ("1/m", "m-1", "m^-1", "/m", "m**-1")
-_DEPTH = re.compile(r"(?i)(depth|pres|pressure)(?:_(m|dbar))?$")
+_DEPTH = re.compile(r"(?i)(?:edz_?)?(depth|pres|pressure)(?: water)?(?:_(m|dbar))?$")
+# PAR on the way down; that above the water (EsPAR, PAR_air, Ed0PAR) is no profile.
+_PAR = re.compile(r"(?i)(?:edz?_?|down(?:welling)?_?)?par(?:_?(?:ed|z|water))?$")
+_TIME = re.compile(r"(?i)(generalexceltime|date[ _]?time(?:[ _]?utc)?|date/time|time(?:stamp)?)$")
 _BRACKET = re.compile(r"(.*?)\s*[\[(]([^\])\d][^\]]*)[\])]$")
 # Argo's flags: 3 probably bad, 4 bad, 9 missing; 0 (no check yet), 1, 2, 5 and 8 are used.
 _BAD_FLAGS = (3, 4, 9)
+# W m-2 nm-1: twenty times the sun above the atmosphere, more than waves can focus.
+_IMPOSSIBLE = 50.0
+# nm: sensors whose centres differ by less than half of their usual bandwidth of 10 nm see one band.
+_HALF_BAND = 5.0
+_SATCON = re.compile(r"(?i)\s*SN\tINTTIME\((ED|LU|ES|EU)\)")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -58,6 +71,13 @@ def raw_casts(path: str | Path, reading: Reading | None = None) -> list[RawCast]
         return cast_netcdf.read(path, reading.columns)
     if seabass.is_seabass(head):
         return [_from_seabass(seabass.read_seabass(path))]
+    satcon = _SATCON.match(head.decode("latin-1"))
+    if satcon:
+        raise ValueError(
+            f"{path} is a table of one sensor ({satcon[1].upper()}) as SatCon writes it: it has no "
+            "depth, which stands in the file of the profiler (MPR).  Write ProSoft's level 2s as "
+            "SeaBASS or csv, in which light and depth stand together, and fit that."
+        )
     return _from_sheet(read_sheet(path), reading)
 
 
@@ -89,6 +109,7 @@ def _from_seabass(file: seabass.Seabass) -> RawCast:
         file.units,
         latitude=file.degrees("north_latitude", "south_latitude"),
         counts=file.counts,
+        time=columns.get("time"),
     )
 
 
@@ -98,9 +119,10 @@ def _from_sheet(sheet: Sheet, reading: Reading) -> list[RawCast]:
     columns, units, flags = {}, {}, {}
     for column in sheet.columns:
         name, unit = renamed.get(column, column), None
-        bracket = _BRACKET.fullmatch(name)
-        if bracket and column not in renamed:
-            name, unit = bracket.groups()
+        bracket = _BRACKET.fullmatch(column)
+        if bracket:
+            unit = bracket[2]
+            name = name if column in renamed else bracket[1]
         plain = name.removesuffix("_QC")
         if not (_known(plain) or "tilt" in name.lower() or name in ("depth_good",)):
             continue
@@ -116,7 +138,7 @@ def _from_sheet(sheet: Sheet, reading: Reading) -> list[RawCast]:
             units[name] = stated
     if not any(_DEPTH.fullmatch(name) for name in columns):
         sheet.require("depth")
-    comment = "\n".join(sheet.comments)
+    comment, time = "\n".join(sheet.comments), _times(sheet)
     try:
         zenith = header_number(sheet, "solar_zenith", reading.solar_zenith, None)
         latitude = header_number(sheet, "latitude", None, None)
@@ -132,22 +154,50 @@ def _from_sheet(sheet: Sheet, reading: Reading) -> list[RawCast]:
             comment,
             latitude,
             zenith,
+            time=None if time is None else time[rows],
         )
 
-    if "cast" not in sheet.columns:
+    by = next((c for c in ("cast", "Station") if c in sheet.columns), None)
+    if by is None:
         return [part(str(sheet.path), slice(None))]
-    names = np.array(sheet.texts("cast"))
+    names = sheet.texts(by)
+    for row in range(1, len(names)):  # ODV names a station in its first row alone
+        names[row] = names[row] or names[row - 1]
+    names = np.array(names)
     return [part(f"{sheet.path}:{name}", names == name) for name in dict.fromkeys(names.tolist())]
 
 
+def _times(sheet: Sheet) -> np.ndarray | None:
+    """(row,) of a column of times, in any unit; None where there is none that can be read."""
+    for column in sheet.columns:
+        if _TIME.fullmatch(column):
+            texts = sheet.texts(column)
+            try:
+                return np.array([float(text) for text in texts])
+            except ValueError:
+                pass
+            try:
+                found = np.array([text.rstrip("Z") for text in texts], dtype="datetime64[ms]")
+                return found.astype(np.float64)
+            except ValueError:
+                continue
+    return None
+
+
 def _known(name: str) -> bool:
-    par = name.lower() in ("par", "downwelling_par")
-    return bool(
-        _IRRADIANCE.fullmatch(name) or _DEPTH.fullmatch(name) or _BEAM.fullmatch(name) or par
-    )
+    return any(kind.fullmatch(name) for kind in (_IRRADIANCE, _DEPTH, _BEAM, _PAR))
 
 
-def _depth(raw: RawCast, reading: Reading) -> np.ndarray:
+def _downwards(depth: np.ndarray, counts: dict[str, int]) -> np.ndarray:
+    """Depths positive downwards; a file that counts heights has hardly a positive one."""
+    below = depth[np.isfinite(depth)]
+    if len(below) and np.mean(below <= 0) > 0.9 and below.min() < -1.0:
+        counts["depths given as negative, turned"] = len(below)
+        return -depth
+    return depth
+
+
+def _depth(raw: RawCast, reading: Reading, counts: dict[str, int]) -> np.ndarray:
     """Metres, from a depth column or by the equation of state from a pressure."""
     for name, values in raw.columns.items():
         found = _DEPTH.fullmatch(name)
@@ -164,7 +214,7 @@ def _depth(raw: RawCast, reading: Reading) -> np.ndarray:
         if kind is None or (kind == "dbar") != pressure:
             wanted = "dbar" if pressure else "m"
             raise ValueError(f"{raw.name}: {name} must be in {wanted}, not {stated!r}.")
-        return _metres(values, raw) if pressure else values
+        return _metres(values, raw) if pressure else _downwards(values, counts)
     raise ValueError(
         f"{raw.name}: column 'depth' is missing; the file has {', '.join(raw.columns)}."
         f"{_near('depth', raw.columns)}"
@@ -224,7 +274,7 @@ def _flagged(raw: RawCast, name: str, values: np.ndarray, counts: dict[str, int]
 def profile_of(raw: RawCast, reading: Reading | None = None) -> Profile:
     """A checked profile of what a file held; flags, tilt and units are dealt with here."""
     reading, counts, calibrated = reading or Reading(), dict(raw.counts), True
-    depth = _depth(raw, reading) + reading.depth_offset
+    depth = _depth(raw, reading, counts) + reading.depth_offset
     groups: dict[str, dict[float, np.ndarray]] = {}
     for name, values in raw.columns.items():
         found = _IRRADIANCE.fullmatch(name.strip())
@@ -240,7 +290,8 @@ def profile_of(raw: RawCast, reading: Reading | None = None) -> Profile:
             bands = groups.setdefault(kind, {})
             # A band that comes twice is told from its twin, and refused as not increasing.
             key = float(found.group("nm")) - (1e-9 if name.endswith(" ") else 0.0)
-            bands[key] = factor * _flagged(raw, name, values, counts)
+            light = factor * _flagged(raw, name, values, counts)
+            bands[key] = _possible(light, counts) if calibrated else light
     if "Ed" not in groups:
         raise ValueError(
             f"{raw.name}: no irradiance column; name them Ed_<nm>, for instance Ed_490. The file "
@@ -259,30 +310,39 @@ def profile_of(raw: RawCast, reading: Reading | None = None) -> Profile:
         steep = keep & (tilt > reading.tilt_limit)
         counts[f"tilt above {reading.tilt_limit:g} degrees"] = int(steep.sum())
         keep &= ~steep
-    par = next((v for k, v in raw.columns.items() if k.lower().endswith("par")), None)
+    par, par_unit = _par(raw, reading, counts)
+    rows = np.flatnonzero(keep)
+    if raw.time is not None and np.isfinite(raw.time[rows]).all():
+        rows = rows[np.argsort(raw.time[rows], kind="stable")]
 
     def table(kind: str):
         bands = groups.get(kind)
         if bands is None:
             return None
+        partner, alone = _partners(list(groups["Ed"]), list(bands))
+        if alone:
+            named = ", ".join(f"{wl:g}" for wl in alone)
+            reason = f"bands of {kind} without a band of Ed within {_HALF_BAND:g} nm ({named} nm)"
+            counts[reason] = len(alone)
         blank = np.full(len(depth), np.nan)
-        return np.stack([bands.get(w, blank) for w in groups["Ed"]], axis=1)[keep]
+        return np.stack([blank if w is None else bands[w] for w in partner], axis=1)[rows]
 
     try:
         return Profile(
-            depth[keep],
+            depth[rows],
             wavelength,
             table("Ed"),
             Eu=table("Eu"),
             Lu=table("Lu"),
             surface=table("surface"),
-            PAR=None if par is None else _flagged(raw, "PAR", par, counts)[keep],
-            tilt=None if tilt is None else tilt[keep],
+            PAR=None if par is None else par[rows],
+            PAR_unit=par_unit,
+            tilt=None if tilt is None else tilt[rows],
             solar_zenith=raw.solar_zenith if reading.solar_zenith is None else reading.solar_zenith,
             source=raw.name,
             counts=counts,
             calibrated=calibrated,
-            **_beams(raw, reading, keep),
+            **_beams(raw, reading, rows),
             upward_below=0.0
             if reading.upward_offset is None
             else reading.upward_offset - reading.depth_offset,
@@ -292,7 +352,49 @@ def profile_of(raw: RawCast, reading: Reading | None = None) -> Profile:
         raise ValueError(str(error) if known else f"{raw.name}: {error}") from None
 
 
-def _beams(raw: RawCast, reading: Reading, keep: np.ndarray) -> dict:
+def _possible(light: np.ndarray, counts: dict[str, int]) -> np.ndarray:
+    """Light without fill values (99999, 9.96921e36, 1e20): more than any sun gives."""
+    absurd = light > _IMPOSSIBLE
+    if absurd.any():
+        reason = f"fill values or light above {_IMPOSSIBLE:g} W m-2 nm-1"
+        counts[reason] = counts.get(reason, 0) + int(absurd.sum())
+    return np.where(absurd, np.nan, light)
+
+
+def _partners(wanted: list[float], given: list[float]) -> tuple[list[float | None], list[float]]:
+    """For each wanted band the given one that is nearest, both ways round and within half a band;
+    and the given bands that remain."""
+    partner: list[float | None] = []
+    for wl in wanted:
+        nearest = min(given, key=lambda other: abs(other - wl))
+        back = min(wanted, key=lambda other: abs(other - nearest))
+        near = abs(nearest - wl) <= _HALF_BAND and back == wl
+        partner.append(nearest if near else None)
+    return partner, [wl for wl in given if wl not in partner]
+
+
+def _par(
+    raw: RawCast, reading: Reading, counts: dict[str, int]
+) -> tuple[np.ndarray | None, str | None]:
+    """PAR under water and its unit: umol m-2 s-1, W m-2, or None where none is stated."""
+    for name, values in raw.columns.items():
+        if not _PAR.fullmatch(name):
+            continue
+        values = _flagged(raw, name, values, counts)
+        stated = reading.units.get("PAR") or raw.units.get(name)
+        if stated is None:
+            return values, None
+        known = par_factor(stated)
+        if known is None:
+            raise ValueError(
+                f"{raw.name}: {name} is in {stated!r}; known are umol m-2 s-1, uE cm-2 s-1, "
+                "mol m-2 d-1, quanta cm-2 s-1 and W m-2 in their usual spellings."
+            )
+        return known[0] * values, known[1]
+    return None, None
+
+
+def _beams(raw: RawCast, reading: Reading, rows: np.ndarray) -> dict:
     """What a `Profile` takes of columns agp_<nm> and cgp_<nm>."""
     found: dict[str, dict[float, np.ndarray]] = {}
     for name, values in raw.columns.items():
@@ -305,11 +407,11 @@ def _beams(raw: RawCast, reading: Reading, keep: np.ndarray) -> dict:
                     f"{raw.name}: the unit of {name.strip()} is "
                     f"{'not stated' if unit is None else repr(unit)}; it must be 1/m."
                 )
-            found.setdefault(kind, {})[float(match.group("nm"))] = values[keep]
+            found.setdefault(kind, {})[float(match.group("nm"))] = values[rows]
     if not found:
         return {}
     grid = np.array(sorted({wl for bands in found.values() for wl in bands}))
-    blank = np.full(int(keep.sum()), np.nan)
+    blank = np.full(len(rows), np.nan)
     tables = {
         kind: np.stack([bands.get(wl, blank) for wl in grid], axis=1)
         for kind, bands in found.items()

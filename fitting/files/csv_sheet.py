@@ -4,9 +4,13 @@ import csv
 import dataclasses
 import difflib
 import fnmatch
+import re
 from pathlib import Path
 
 import numpy as np
+
+# How programs write that there is no value.
+_MISSING = ("", "na", "n/a", "#n/a", "nan", "null", "none", "-", "--", "missing")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -20,13 +24,13 @@ class Sheet:
     comments: tuple[str, ...] = ()
 
     def numbers(self, column: str) -> np.ndarray:
-        """A column as floats; blanks are NaN, other text is an error naming the row."""
+        """A column as floats; blanks and NA are NaN, other text is an error naming the row."""
         index = self.columns.index(column)
         values = []
         for line, row in enumerate(self.rows, start=1):
             text = row[index].strip()
             try:
-                values.append(float(text) if text else np.nan)
+                values.append(np.nan if text.lower() in _MISSING else float(text))
             except ValueError:
                 raise ValueError(
                     f"{self.path}: column {column!r}, data row {line}: {text!r} is not a number."
@@ -69,33 +73,83 @@ class Sheet:
 
 
 def read_sheet(path: str | Path) -> Sheet:
-    """Read a csv file with comment header; ValueError says what is wrong and where."""
+    """Read a table of text; ValueError says what is wrong and where.
+
+    Commas, semicolons or tabs between cells, told by the line of column names; decimal commas
+    where cells are parted otherwise.  Comments: lines that begin with # or // (ODV), what stands
+    between /* and */ (PANGAEA), and a block from "Start of Header" to "End of Header" (C-OPS).
+    UTF-8, UTF-16 with its mark, or Latin-1.
+    """
     path = Path(path)
+    lines, comments = _without_comments(_decoded(path))
+    header = {}
+    for line in comments:
+        key, _, value = line.partition(":")
+        header[key.strip()] = value.strip()
+    if len(lines) < 2:
+        raise ValueError(f"{path} holds no data: a row of column names and rows of values wanted.")
+    delimiter = max("\t;,", key=lambda mark: re.sub(r'"[^"]*"', "", lines[0]).count(mark))
+    table = list(csv.reader(lines, delimiter=delimiter))
+    columns = [name.strip() for name in table[0]]
+    while columns and not columns[-1]:
+        columns.pop()  # a delimiter at the end of each line
+    rows = []
+    for number, row in enumerate(table[1:], start=1):
+        cells = row[: len(columns)] if not any(map(str.strip, row[len(columns) :])) else row
+        if len(cells) != len(columns):
+            decimal = len(cells) > len(columns) and delimiter == ","
+            raise ValueError(
+                f"{path}: data row {number} has {len(cells)} values for {len(columns)} columns."
+                + (" Decimal commas need ; or tabs between the values." if decimal else "")
+            )
+        rows.append(cells)
+    if delimiter != ",":
+        rows = [[_DECIMAL_COMMA.sub(r"\1.\2", cell) for cell in row] for row in rows]
+    return Sheet(path, header, columns, rows, tuple(comments))
+
+
+_DECIMAL_COMMA = re.compile(r"^(\s*[-+]?\d*),(\d+(?:[eE][-+]?\d+)?\s*)$")
+
+
+def _decoded(path: Path) -> list[str]:
     raw = path.read_bytes()
+    if raw[:2] in (b"\xff\xfe", b"\xfe\xff"):
+        try:
+            return raw.decode("utf-16").splitlines()
+        except UnicodeDecodeError as error:
+            raise ValueError(
+                f"{path} is not text (UTF-16 by its mark, byte {error.start})."
+            ) from None
     if b"\x00" in raw:
         raise ValueError(
             f"{path} holds NUL bytes: it is not a text file, or was cut while written."
         )
     try:
-        lines = raw.decode("utf-8-sig").splitlines()
+        return raw.decode("utf-8-sig").splitlines()
     except UnicodeDecodeError as error:
-        raise ValueError(f"{path} is not UTF-8 text (byte {error.start}).") from None
-    header = {}
+        # Latin-1 reads anything: what holds control characters is no text.
+        if any(byte < 32 and byte not in b"\t\n\r\f\x1a" for byte in raw):
+            raise ValueError(f"{path} is not text (byte {error.start}).") from None
+        return raw.decode("latin-1").splitlines()
+
+
+def _without_comments(lines: list[str]) -> tuple[list[str], list[str]]:
+    """Lines of the table, and comments without their marks."""
+    table, comments, until = [], [], None
     for line in lines:
-        if line.startswith("#"):
-            key, _, value = line[1:].partition(":")
-            header[key.strip()] = value.strip()
-    table = list(csv.reader(line for line in lines if line.strip() and not line.startswith("#")))
-    if len(table) < 2:
-        raise ValueError(f"{path} holds no data: a row of column names and rows of values wanted.")
-    columns = [name.strip() for name in table[0]]
-    for number, row in enumerate(table[1:], start=1):
-        if len(row) != len(columns):
-            raise ValueError(
-                f"{path}: data row {number} has {len(row)} values for {len(columns)} columns."
-            )
-    comments = tuple(line[1:].strip() for line in lines if line.startswith("#"))
-    return Sheet(path, header, columns, table[1:], comments)
+        plain = line.strip()
+        if until is None and plain.startswith("/*"):
+            until = "*/"
+        elif until is None and plain.lower() == "start of header":
+            until = "end of header"
+        if until is not None:
+            comments.append(plain.removeprefix("/*").removesuffix("*/").strip())
+            until = None if until in plain.lower() else until
+        elif plain.startswith(("#", "//")):
+            comments.append(plain.lstrip("#/").strip())
+        elif plain:
+            table.append(line)
+    return table, comments
 
 
 def header_number(sheet: Sheet, key: str, value: float | None, default: float | None):

@@ -10,7 +10,9 @@ import numpy as np
 class RawCast:
     """Columns by name with the units that the file states, quality flags by column.
 
-    `comment`: free text of the header; `latitude`: degrees north; `counts`: what was left out.
+    `comment`: free text of the header; `latitude`: degrees north; `counts`: what was left out;
+    `time`: (row,) of each row in any unit, None where the file does not say: then rows stand in
+    the order in which they were measured.
     """
 
     name: str
@@ -21,3 +23,4 @@ class RawCast:
     latitude: float | None = None
     solar_zenith: float | None = None
     counts: Mapping[str, int] = dataclasses.field(default_factory=dict)
+    time: np.ndarray | None = None

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+_CLOCK = re.compile(r"(\d{1,2}):(\d{2}):(\d{2}(?:\.\d+)?)")
 _DELIMITERS = {"comma": ",", "tab": "\t", "space": None}
 
 
@@ -105,12 +106,17 @@ def _codes(path: Path, header: dict[str, str]) -> dict[str, float]:
 
 
 def _numbers(texts) -> np.ndarray:
-    """A column as numbers; text such as dates and times becomes NaN."""
+    """A column as numbers, times of day in seconds; other text becomes NaN."""
     try:
         return np.array(texts, dtype=np.float64)
     except ValueError:
         values = np.full(len(texts), np.nan)
         for i, text in enumerate(texts):
+            clock = _CLOCK.fullmatch(text.strip())
+            if clock:
+                hours, minutes, seconds = map(float, clock.groups())
+                values[i] = 3600.0 * hours + 60.0 * minutes + seconds
+                continue
             try:
                 values[i] = float(text)
             except ValueError:

@@ -3,22 +3,26 @@
 import copy
 import dataclasses
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 from fitting.observations.array_checks import as_array
 from fitting.observations.profile_sensor import (
     MIN_DEPTHS,
     darkness,
+    isolated_values,
     noise_floor,
+    segments,
+    shaded,
     smooth_reference,
     thinned,
 )
 from oceaninv.foundation.tables import check_wavelength
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
+@dataclasses.dataclass(eq=False, init=False)
 class Profile:
     """Irradiance at depths.
 
@@ -39,7 +43,8 @@ class Profile:
     - `surface`: (depth, wl) irradiance above the water at the same moments.  Its slow changes are
       divided out of all light below; quick ones and dips that end, such as those of a shadow band,
       are not.
-    - `PAR`: (depth,) photosynthetically available radiation, any unit.
+    - `PAR`: (depth,) photosynthetically available radiation in `PAR_unit`, None where that is not
+      known: then its depths are found, and no amount.
     - `a`, `c`: (depth, beam) absorption and beam attenuation without pure water's, 1/m, at
       `beam_wavelength` (beam,) nm, strictly increasing, as AC-9 and AC-S give them; NaN where
       absent.  Fits of constituents use their means over the water whose light they use.
@@ -48,10 +53,12 @@ class Profile:
     - `tilt`: (depth,) degrees, for reports.
     - `counts`: what was left out before, by reason, for reports.
 
-    Casts of more than 2,048 samples are reduced to medians of neighbours in depth.  `dark`,
-    `dark_sd` (wl,): the reading in darkness, where the cast reaches it, else 0; `reference`
-    (depth, wl): the light above relative to its median; `Es` (wl,): that median in the unit of Ed,
-    None if it is not known.
+    Casts of more than 2,048 samples, and casts that stay at one depth for long, are reduced to
+    medians over bins of depth.  Samples in shade and values beyond all others are masked and
+    counted.  `dark`, `dark_sd` (wl,): the reading in darkness, where the cast reaches it, else 0;
+    `reference` (depth, wl): the light above relative to its median; `Es` (wl,): that median in the
+    unit of Ed, None if it is not known; `segment` (depth,): which way down or up a sample belongs
+    to, in the order of measurement; `shade` (depth,): which samples are left out as shaded.
 
     Raises ValueError, naming band and count, when a band keeps fewer than 5 depths.
     """
@@ -76,7 +83,10 @@ class Profile:
     tilt: Float[np.ndarray, " depth"] | None
     dark: Float[np.ndarray, " wl"]
     dark_sd: Float[np.ndarray, " wl"]
-    counts: Mapping[str, int]
+    counts: dict[str, int]
+    PAR_unit: str | None
+    segment: Int[np.ndarray, " depth"]
+    shade: Bool[np.ndarray, " depth"]
 
     def __init__(
         self,
@@ -92,6 +102,7 @@ class Profile:
         Lu=None,
         surface=None,
         PAR=None,
+        PAR_unit: str | None = "umol m-2 s-1",
         tilt=None,
         beam_wavelength=None,
         a=None,
@@ -100,73 +111,64 @@ class Profile:
         calibrated: bool = True,
         counts: Mapping[str, int] | None = None,
     ):
-        depth, wavelength = as_array("depth", depth, 1), check_wavelength(wavelength)
-        Ed = as_array("Ed", Ed, 2)
-        if Ed.shape != (len(depth), len(wavelength)):
-            raise ValueError(
-                f"Ed must have shape (depth, wl) = ({len(depth)}, {len(wavelength)}), "
-                f"not {Ed.shape}."
-            )
-        if not np.all(np.isfinite(depth)):
-            raise ValueError(f"depth holds {int(np.sum(~np.isfinite(depth)))} missing values.")
-        tables = {"Ed": Ed, "sigma": sigma, "Eu": Eu, "Lu": Lu, "reference": surface}
-        lines = {"PAR": PAR, "tilt": tilt}
-        for name, value in {**tables, **lines}.items():
-            if value is not None:
-                array = as_array(name, value, 2 if name in tables else 1)
-                if array.shape != (Ed.shape if name in tables else depth.shape):
-                    raise ValueError(
-                        f"{name if name != 'reference' else 'surface'} must have the shape of "
-                        f"{'Ed' if name in tables else 'depth'}, "
-                        f"{Ed.shape if name in tables else depth.shape}."
-                    )
-                (tables if name in tables else lines)[name] = array
-        beam_wavelength, beams = _beams(len(depth), beam_wavelength, {"a": a, "c": c})
-        level = None
-        if surface is not None:
-            tables["reference"], level = smooth_reference(tables["reference"])
-        order = np.argsort(depth, kind="stable")
-        data = {"depth": depth, **tables, **lines, **beams}
-        data = {k: None if v is None else v[order] for k, v in data.items()}
-        data, merged = thinned(data)
-        depth, Ed, sigma = data["depth"], data["Ed"], data["sigma"]
-        dark, dark_sd, scatter = darkness(Ed)
-        # Zero is what a digital sensor writes for nothing; negative noise around darkness is data.
-        least = np.where(dark_sd > 0, dark - 5.0 * scatter, 0.0)
-        mask = np.isfinite(Ed) & (Ed != 0) & (Ed > least) & (depth >= 0)[:, None]
-        if sigma is not None:
-            mask &= np.isfinite(sigma) & (sigma > 0)
-        if data["reference"] is not None:
-            mask &= np.isfinite(data["reference"]) & (data["reference"] > 0)
-        for band, kept in zip(wavelength, mask.sum(axis=0), strict=True):
-            if kept < MIN_DEPTHS:
-                raise ValueError(
-                    f"the band at {band:g} nm keeps {kept} of {len(depth)} depths after masking "
-                    f"missing and non-positive irradiance; at least {MIN_DEPTHS} are needed."
-                )
         if solar_zenith is not None and not 0 <= solar_zenith < 90:
             raise ValueError(f"solar_zenith must lie in [0, 90) degrees, not {solar_zenith:g}.")
+        self.wavelength, self.solar_zenith = check_wavelength(wavelength), solar_zenith
+        self.source, self.upward_below = source, float(upward_below)
+        self.counts, self.PAR_unit = dict(counts or {}), PAR_unit
+        data = _checked(depth, self.wavelength, Ed, sigma, Eu, Lu, surface, PAR, tilt)
+        self.beam_wavelength, beams = _beams(len(data["depth"]), beam_wavelength, {"a": a, "c": c})
+        self.Es = None
+        if surface is not None:
+            data["reference"], level = smooth_reference(data["reference"])
+            self.Es = level if calibrated else None
+        data |= beams
+        data["segment"] = segments(data["depth"])
+        order = np.argsort(data["depth"], kind="stable")
+        data, notes = thinned({k: None if v is None else v[order] for k, v in data.items()})
+        self.counts |= notes
+        for name, value in data.items():
+            setattr(self, name, value)
+        self.segment = data["segment"].astype(int)
+        self._mask_what_is_no_light()
         if floor is None:
-            floor = np.where(dark_sd > 0, scatter, noise_floor(Ed, mask))
-        floor = np.broadcast_to(np.asarray(floor, dtype=np.float64), wavelength.shape)
-        counts = dict(counts or {})
-        if merged > 1:
-            counts["samples merged into each median"] = merged
-        for name, value in {
-            **data,
-            "wavelength": wavelength,
-            "beam_wavelength": beam_wavelength,
-            "floor": floor,
-            "mask": mask,
-            "solar_zenith": solar_zenith,
-            "source": source,
-            "Es": level if calibrated else None,
-            "upward_below": float(upward_below),
-            "dark": dark,
-            "dark_sd": dark_sd,
-            "counts": counts,
-        }.items():
-            object.__setattr__(self, name, value)
+            noisy = noise_floor(self.Ed - self.dark, self.mask)
+            floor = np.where(self.dark_sd > 0, self.floor, noisy)
+        self.floor = np.broadcast_to(np.asarray(floor, np.float64), self.wavelength.shape).copy()
+
+    def _mask_what_is_no_light(self) -> None:
+        """Find the reading in darkness, then what is missing, absurd or shaded."""
+        isolated = isolated_values(self.Ed)
+        self.Ed = np.where(isolated, np.nan, self.Ed)
+        self.dark, self.dark_sd, self.floor = darkness(self.Ed)
+        # Zero is what a digital sensor writes for nothing; negative noise around darkness is data.
+        least = np.where(self.dark_sd > 0, self.dark - 5.0 * self.floor, 0.0)
+        mask = np.isfinite(self.Ed) & (self.Ed != 0) & (self.Ed > least)
+        mask &= (self.depth >= 0)[:, None]
+        if self.sigma is not None:
+            mask &= np.isfinite(self.sigma) & (self.sigma > 0)
+        light = self.Ed - self.dark
+        if self.reference is not None:
+            mask &= np.isfinite(self.reference) & (self.reference > 0)
+            light = light / np.where(mask, self.reference, 1.0)
+        self.shade = shade = shaded(self.depth, light, mask, self.segment)
+        self.mask = mask & ~shade[:, None]
+        self.counts |= {
+            reason: int(count)
+            for reason, count in (
+                ("values above 1,000 times their neighbours", isolated.sum()),
+                ("samples darker than light further down (shade, a covered sensor)", shade.sum()),
+            )
+            if count
+        }
+        for band, kept in zip(self.wavelength, self.mask.sum(axis=0), strict=True):
+            if kept < MIN_DEPTHS:
+                shaded_too = f", {int(shade.sum())} of which lie in shade" if shade.any() else ""
+                raise ValueError(
+                    f"the band at {band:g} nm keeps {kept} of {len(self.depth)} depths after "
+                    f"masking missing and non-positive irradiance{shaded_too}; at least "
+                    f"{MIN_DEPTHS} are needed."
+                )
 
     @property
     def masked(self) -> int:
@@ -178,10 +180,10 @@ class Profile:
         made = copy.copy(self)
         for name in ("wavelength", "floor", "dark", "dark_sd", "Es"):
             value = getattr(self, name)
-            object.__setattr__(made, name, None if value is None else value[bands])
+            setattr(made, name, None if value is None else value[bands])
         for name in ("Ed", "sigma", "mask", "Eu", "Lu", "reference"):
             value = getattr(self, name)
-            object.__setattr__(made, name, None if value is None else value[:, bands])
+            setattr(made, name, None if value is None else value[:, bands])
         return made
 
     def upward(self, kind: str, depth_range=(0.0, np.inf)) -> "tuple[Profile, np.ndarray] | None":
@@ -208,10 +210,31 @@ class Profile:
             source=f"{self.source}, {kind}",
         )
         if self.reference is not None:
-            reference = self.reference[:, bands]
-            object.__setattr__(made, "reference", reference)
-            object.__setattr__(made, "mask", made.mask & (reference > 0))
+            made.reference = self.reference[:, bands]
+            made.mask = made.mask & (made.reference > 0)
+        made.segment = self.segment
         return made, bands
+
+
+def _checked(depth, wavelength, Ed, sigma, Eu, Lu, surface, PAR, tilt) -> dict[str, Any]:
+    """The arrays along depth as float64, by name; ValueError where a shape does not fit."""
+    depth, Ed = as_array("depth", depth, 1), as_array("Ed", Ed, 2)
+    if Ed.shape != (len(depth), len(wavelength)):
+        raise ValueError(
+            f"Ed must have shape (depth, wl) = ({len(depth)}, {len(wavelength)}), not {Ed.shape}."
+        )
+    if not np.all(np.isfinite(depth)):
+        raise ValueError(f"depth holds {int(np.sum(~np.isfinite(depth)))} missing values.")
+    data: dict[str, Any] = {"depth": depth, "Ed": Ed}
+    tables = {"sigma": sigma, "Eu": Eu, "Lu": Lu, "surface": surface}
+    for given, like, shape in ((tables, "Ed", Ed.shape), ({"PAR": PAR, "tilt": tilt}, "depth",
+                                                           depth.shape)):  # fmt: skip
+        for name, value in given.items():
+            array = None if value is None else as_array(name, value, len(shape))
+            if array is not None and array.shape != shape:
+                raise ValueError(f"{name} must have the shape of {like}, {shape}.")
+            data["reference" if name == "surface" else name] = array
+    return data
 
 
 def _beams(count: int, wavelength, given: dict) -> tuple[np.ndarray, dict]:

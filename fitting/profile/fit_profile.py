@@ -17,11 +17,20 @@ from fitting.profile.constituents.problem import (
     lights,
     solve_cast,
 )
+from fitting.profile.fit_profiles import fit_profiles
 from fitting.profile.kd.band_fit import BandFit
 from fitting.profile.kd.batching import fit_windows
 from fitting.profile.kd.cast import Cast, FitWindow, cast_of, light_of, padded_length
-from fitting.profile.kd.noise_statistics import correlation_inflation
-from fitting.profile.kd.result import _band_model, _metadata, _noise_sd, _predictive, _used, kd_fit
+from fitting.profile.kd.result import (
+    _band_model,
+    _metadata,
+    _noise_sd,
+    _predictive,
+    _used,
+    check_light_falls,
+    kd_fit,
+)
+from fitting.profile.kd.ways import sample_deviations
 from fitting.water_model.layered_water import (
     check_layers,
     interfaces_of,
@@ -76,6 +85,23 @@ def fit_profile(
     bb(550) and a_cdm(440) of the water, from the bands of 380-780 nm, in which all absorption is
     tabulated; other bands are left out and named in `metadata["bands_not_modelled_nm"]`.
     """
+    _check_arguments(profile, transport, priors, layers, tolerance)
+    if tolerance is None and transport is None:
+        return _fit_kd(cast_of(profile, depth_range, layers))
+    if len(profile.beam_wavelength):
+        options = {"depth_range": depth_range, "transport": transport, "priors": priors}
+        return fit_profiles([profile], **options).water(0)
+    bands = modelled_bands(profile.wavelength)
+    notes = unmodelled_notes(profile.wavelength, bands)
+    cast = cast_of(profile if bands.all() else profile.of_bands(bands), depth_range, layers)
+    if tolerance is not None:
+        return _fit_within_tolerance(cast, tolerance, transport, priors, notes)
+    assert transport is not None
+    return _fit_constituents(cast, transport, priors, notes)
+
+
+def _check_arguments(profile: Profile, transport, priors, layers, tolerance) -> None:
+    """ValueError where arguments of `fit_profile` contradict each other."""
     if layers != 1:
         if tolerance is not None:
             raise ValueError("a tolerance chooses among models of one water: leave out layers.")
@@ -83,42 +109,48 @@ def fit_profile(
             check_layers(transport)
     if transport is None and tolerance is None and priors:
         raise ValueError("priors apply to a fit through a transport; Kd alone has none.")
-    if len(profile.beam_wavelength) and tolerance is not None:
-        raise ValueError("a and c are fitted through a transport that is named, not a tolerance.")
-    if len(profile.beam_wavelength) and transport is not None:
-        if layers != 1:
+    if len(profile.beam_wavelength):
+        if tolerance is not None:
+            raise ValueError(
+                "a and c are fitted through a transport that is named, not a tolerance."
+            )
+        if transport is not None and layers != 1:
             raise ValueError("a and c are fitted to one water: leave them or the layers out.")
-        from fitting.profile.fit_profiles import fit_profiles
 
-        options = {"depth_range": depth_range, "transport": transport, "priors": priors}
-        return fit_profiles([profile], **options).water(0)
-    outside = {}
-    if transport is not None or tolerance is not None:
-        bands = modelled_bands(profile.wavelength)
-        outside = unmodelled_notes(profile.wavelength, bands)
-        profile = profile if bands.all() else profile.of_bands(bands)
-    cast = cast_of(profile, depth_range, layers)
-    if tolerance is not None:
-        (bands,) = fit_windows([cast.window])
 
-        def solve(model, start, ratio=None):
-            metadata = _metadata(cast, bands) | {"transport": type(model).__name__} | outside
-            return _constituent_fit(cast, bands, model, priors, metadata, start, ratio)
+def _fit_kd(cast: Cast) -> Fit:
+    kinds = list(cast.windows)
+    fits = dict(zip(kinds, map(_fit_window, cast.windows.values()), strict=True))
+    check_light_falls(cast, fits["Ed"])
+    return kd_fit(cast, fits)
 
-        def scene(fit):
-            return scene_at(fit.parameters, fit.x, profile.wavelength)
 
-        fit, chosen = multifidelity_fit(
-            tolerance, transport, solve, scene, [AccuracyTarget("irradiance")]
-        )
-        return _corrected(fit, chosen, solve, profile)
-    if transport is None:
-        return kd_fit(
-            cast, {kind: fit_windows([window])[0] for kind, window in cast.windows.items()}
-        )
-    (bands,) = fit_windows([cast.window])
-    metadata = _metadata(cast, bands) | {"transport": type(transport).__name__} | outside
+def _fit_window(window: FitWindow) -> BandFit:
+    return fit_windows([window])[0]
+
+
+def _fit_constituents(cast: Cast, transport: AbstractTransport, priors, notes) -> Fit:
+    bands = _fit_window(cast.window)
+    check_light_falls(cast, bands)
+    metadata = _metadata(cast, bands) | {"transport": type(transport).__name__} | notes
     return _constituent_fit(cast, bands, transport, priors, metadata)
+
+
+def _fit_within_tolerance(cast: Cast, tolerance: float, transport, priors, notes) -> Fit:
+    """The fit by the cheapest model that meets the tolerance, corrected by the exact one."""
+    profile, bands = cast.window.profile, _fit_window(cast.window)
+    check_light_falls(cast, bands)
+
+    def solve(model, start, ratio=None):
+        metadata = _metadata(cast, bands) | {"transport": type(model).__name__} | notes
+        return _constituent_fit(cast, bands, model, priors, metadata, start, ratio)
+
+    def scene(fit):
+        return scene_at(fit.parameters, fit.x, profile.wavelength)
+
+    targets = [AccuracyTarget("irradiance")]
+    fit, chosen = multifidelity_fit(tolerance, transport, solve, scene, targets)
+    return _corrected(fit, chosen, solve, profile)
 
 
 def _unknowns(window: FitWindow, bands: BandFit, priors) -> Parameters:
@@ -167,11 +199,9 @@ def _constituent_fit(cast: Cast, bands, transport, priors, metadata, start=None,
     # The model knows neither darkness nor changes of the sun: the data are rid of them.
     light = light_of(profile)
     reference = 1.0 if profile.reference is None else profile.reference
-    sd = (
-        _noise_sd(profile, bands, model)
-        / reference
-        * correlation_inflation(profile.depth, mask, bands.length)
-    )
+    sd = _noise_sd(profile, bands, model) / reference
+    relative = sd / np.maximum(model / reference, 1e-300)
+    sd = sd * sample_deviations(profile.depth, profile.segment, mask, relative, bands)
     samples = Samples(
         pad(profile.depth, 0.0),
         pad(np.where(mask, light, 1.0), 1.0),

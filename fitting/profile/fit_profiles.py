@@ -15,7 +15,7 @@ from fitting.profile.kd.band_fit import BandFit
 from fitting.profile.kd.batching import fit_windows
 from fitting.profile.kd.cast import Cast, cast_of
 from fitting.profile.kd.reflectances import cast_quantities
-from fitting.profile.kd.result import kd_fit, light_depths
+from fitting.profile.kd.result import check_light_falls, kd_fit, light_depths
 from oceaninv.transport.base import AbstractTransport
 
 if TYPE_CHECKING:
@@ -218,6 +218,12 @@ def fit_profiles(
     fits: dict[int, dict[str, BandFit]] = {i: {} for i in casts}
     for (i, kind), fit in zip(keys, fitted, strict=True):
         fits[i][kind] = fit
+    for i in list(casts):
+        try:
+            check_light_falls(casts[i], fits[i]["Ed"])
+        except ValueError as error:
+            failures[i] = f"{profiles[i].source}: {error}"
+            del casts[i], fits[i]
     waters, dry = ({}, {}) if transport is None else fit_waters(casts, fits, transport, priors)
     return ProfileFits([p.source for p in profiles], casts, fits, failures, waters, dry)
 

@@ -9,8 +9,8 @@ from fitting.observations.profile import Profile
 from fitting.profile.constituents.batched_search import Spectra, nodes_and_basis
 from fitting.profile.kd.band_fit import BandFit, thickness
 from fitting.profile.kd.cast import Cast, light_of, padded_length
-from fitting.profile.kd.noise_statistics import correlation_inflation
 from fitting.profile.kd.reflectances import cast_quantities
+from fitting.profile.kd.ways import sample_deviations
 
 # What readings of AC-9 and AC-S are worth: calibration, scattered light; relative, and 1/m.
 _BEAM_RELATIVE, _BEAM_FLOOR = 0.03, 0.005
@@ -33,7 +33,7 @@ def spectra_of(cast: Cast, fits: Mapping[str, BandFit], transport) -> Spectra:
     else:
         sd = profile.sigma[:n] / reference
     used = fit.used[:, :n].T & window.mask[:n] & (np.asarray(fit.code) == 0)[None, :]
-    sd = sd * correlation_inflation(depth, used, np.asarray(fit.length))
+    sd = sd * sample_deviations(depth, profile.segment[:n], used, sd / start, fit)
     nodes, basis = nodes_and_basis(depth, float(depth.max()))
 
     def pad(array, fill):

@@ -27,7 +27,7 @@ _START_ROUNDS = 5
 # With given errors only the curve has to converge, else the noise too.
 _ROUNDS_GIVEN, _ROUNDS = 5, 12
 _SETTLED = 4
-_LEAST_LN_KD, _LARGEST_LN_KD = -46.0, 8.0
+LEAST_LN_KD, _LARGEST_LN_KD = -46.0, 8.0
 _LARGEST_LN_ED = 300.0
 # Candidates for the waves: correlation lengths in median spacings, and how the relative noise
 # rises towards the surface, 1 + gain e^(-z / (share of the range)).
@@ -36,6 +36,10 @@ _LONGEST = 1 / 5  # of the range: longer waves cannot be told from the water
 _RISES = ((0.0, 1.0), (2.0, 0.1), (4.0, 0.05))
 # Prior odds of correlated against independent noise (no preference), and of rising against even.
 _ODDS_CORRELATED, _ODDS_RISING = 1.0, 0.2
+
+
+# Arrays of JAX, of numpy once a fit is done.
+Numbers = Array | np.ndarray
 
 
 class BandBatch(eqx.Module):
@@ -67,13 +71,13 @@ class BandFit(eqx.Module):
     - `code`: of `fitting.core.diagnostics.Status`.
     """
 
-    x: Float[Array, "*band unknown"]
-    covariance: Float[Array, "*band unknown unknown"]
-    noise: Float[Array, "*band"]
-    dof: Float[Array, "*band"]
-    length: Float[Array, "*band"]
-    used: Bool[Array, "*band depth"]
-    code: Int[Array, "*band"]
+    x: Float[Numbers, "*band unknown"]
+    covariance: Float[Numbers, "*band unknown unknown"]
+    noise: Float[Numbers, "*band"]
+    dof: Float[Numbers, "*band"]
+    length: Float[Numbers, "*band"]
+    used: Bool[Numbers, "*band depth"]
+    code: Int[Numbers, "*band"]
 
 
 def thickness(depth, interfaces):
@@ -102,7 +106,7 @@ def fit_band_batch(batch: BandBatch) -> BandFit:
 
 
 def _signal(x, path, reference):
-    Kd = jnp.exp(jnp.clip(x[1:], _LEAST_LN_KD, _LARGEST_LN_KD))
+    Kd = jnp.exp(jnp.clip(x[1:], LEAST_LN_KD, _LARGEST_LN_KD))
     return reference * jnp.exp(
         jnp.clip(x[0], -_LARGEST_LN_ED, _LARGEST_LN_ED) - jnp.sum(path * Kd[None, :], axis=1)
     )
@@ -180,7 +184,7 @@ def _fit_band(band: BandBatch):
     def linear(state):
         """Signal and its slopes, and the misfit, at (x, dark in its standard deviations)."""
         signal = _signal(state[:-1], path, band.reference)
-        Kd = jnp.exp(jnp.clip(state[1:-1], _LEAST_LN_KD, _LARGEST_LN_KD))
+        Kd = jnp.exp(jnp.clip(state[1:-1], LEAST_LN_KD, _LARGEST_LN_KD))
         dark = jnp.broadcast_to(band.dark_sd, signal.shape)
         slopes = jnp.concatenate([jnp.ones_like(dark)[:, None], -path * Kd[None, :]], axis=1)
         misfit = band.Ed - signal - band.dark - state[-1] * band.dark_sd
@@ -190,7 +194,7 @@ def _fit_band(band: BandBatch):
     dark_prior = jnp.zeros_like(state).at[-1].set(1.0)
     bounds = [
         jnp.full_like(state, ln_kd).at[0].set(ln_ed)
-        for ln_kd, ln_ed in ((_LEAST_LN_KD, -_LARGEST_LN_ED), (_LARGEST_LN_KD, _LARGEST_LN_ED))
+        for ln_kd, ln_ed in ((LEAST_LN_KD, -_LARGEST_LN_ED), (_LARGEST_LN_KD, _LARGEST_LN_ED))
     ]
     signal, _, misfit = linear(state)
     size = jnp.abs(misfit) / spread(signal, RELATIVE_NOISE)

@@ -1,15 +1,21 @@
 """Batches of bands: windows of casts padded to shared shapes, in chunks of one size."""
 
+import dataclasses
 from collections.abc import Sequence
 
 import jax
 import numpy as np
 
-from fitting.profile.kd.band_fit import BandBatch, BandFit, fit_band_batch
+from fitting.core.diagnostics import Status
+from fitting.observations.profile_sensor import MIN_DEPTHS
+from fitting.profile.kd.band_fit import LEAST_LN_KD, BandBatch, BandFit, fit_band_batch
 from fitting.profile.kd.cast import FitWindow
+from fitting.profile.kd.ways import combined, ways_of
 
 # BandBatch of one compiled call for many casts of up to 128 depths; of longer ones fewer.
 MOST = 1024
+# Variance of a logarithm of which nothing is known.
+_UNKNOWN = 1e4
 
 
 def band_batch(windows: Sequence[FitWindow], size_of_batch: int | None = None) -> BandBatch:
@@ -53,7 +59,14 @@ def band_batch(windows: Sequence[FitWindow], size_of_batch: int | None = None) -
 
 
 def fit_windows(windows: Sequence[FitWindow]) -> list[BandFit]:
-    """Fits of casts, each with a leading band axis; many go in chunks of one size.
+    """Fits of casts, each with a leading band axis; casts of several ways by `combined`."""
+    split = [ways_of(window) for window in windows]
+    fits = iter(_fit_each([way for ways in split for way in ways]))
+    return [combined([next(fits) for _ in ways]) for ways in split]
+
+
+def _fit_each(windows: Sequence[FitWindow]) -> list[BandFit]:
+    """Fits with a leading band axis; many go in chunks of one size.
 
     The result of a cast does not depend on the others: a chunk is many independent bands, and
     which program runs depends on the cast's own shape.
@@ -93,7 +106,16 @@ def _chunk(rows: int) -> int:
 
 
 def _numpy(fit: BandFit) -> BandFit:
-    return jax.tree.map(np.asarray, fit)
+    """The fit as numpy arrays; bands that kept hardly a sample, or whose Kd ran to the end of its
+    range, are marked as not converged, with variances that say that nothing is known."""
+    fit = jax.tree.map(np.asarray, fit)
+    known = (fit.used.sum(axis=1) >= MIN_DEPTHS) & np.all(fit.x[:, 1:] > LEAST_LN_KD + 1.0, axis=1)
+    known &= np.all(np.isfinite(fit.x), axis=1) & np.all(np.isfinite(fit.covariance), axis=(1, 2))
+    code = np.where(known, fit.code, np.maximum(fit.code, Status.STEP_LIMIT))
+    unknown = _UNKNOWN * np.eye(fit.x.shape[1], dtype=fit.covariance.dtype)
+    covariance = np.where(known[:, None, None], fit.covariance, unknown)
+    x = np.where(np.isfinite(fit.x), fit.x, 0.0)
+    return dataclasses.replace(fit, x=x, covariance=covariance, code=code.astype(fit.code.dtype))
 
 
 def _spread(batch: BandBatch) -> BandBatch:

@@ -121,12 +121,9 @@ def _with(cast: "PiecewiseLinearFit", interfaces: list[float], i: int):
 
 def _least(function, low: float, high: float) -> float:
     """Where a function is least between two places, to a fiftieth of their distance (Brent)."""
-    from scipy.optimize import minimize_scalar
+    from scipy.optimize import fminbound
 
-    accuracy = {"xatol": 0.02 * (high - low)}
-    return float(
-        minimize_scalar(function, bounds=(low, high), method="bounded", options=accuracy).x
-    )
+    return float(np.asarray(fminbound(function, low, high, xtol=0.02 * (high - low))))
 
 
 def _outliers(log_light: np.ndarray, mask: np.ndarray) -> np.ndarray:

@@ -8,7 +8,7 @@ from fitting.core.diagnostics import Status
 from fitting.core.parameters import Parameter, Parameters
 from fitting.core.result import Fit, Predictive, Quantity
 from fitting.observations.profile import Profile
-from fitting.profile.kd.band_fit import BandFit, thickness
+from fitting.profile.kd.band_fit import LEAST_LN_KD, BandFit, thickness
 from fitting.profile.kd.cast import Cast, FitWindow, bands_with_light
 from fitting.profile.kd.noise_statistics import runs_p, whitened
 from fitting.profile.kd.par_depths import light_of_bands, light_of_sensor, light_quantities
@@ -75,7 +75,22 @@ def light_depths(cast: Cast, bands: BandFit) -> tuple[dict[str, Quantity], dict]
     """PAR below the surface and the depths of 10 and 1 % of it, where the data allow, and notes."""
     sensor = light_of_sensor(cast.window.profile)
     light = sensor or light_of_bands(cast.window, bands, bands_with_light(cast.window))
-    return ({}, {}) if light is None else light_quantities(light, sensor is not None)
+    if light is None:
+        return {}, {}
+    unit = "umol m-2 s-1" if sensor is None else cast.window.profile.PAR_unit
+    return light_quantities(light, sensor is not None, unit)
+
+
+def check_light_falls(cast: Cast, bands: BandFit) -> None:
+    """ValueError where no band's Kd is known to a factor of some e: this is no profile of light."""
+    sd = np.sqrt(np.diagonal(bands.covariance, axis1=1, axis2=2)[:, 1:])
+    if not np.any(np.isfinite(sd) & (sd < 1.0) & (np.asarray(bands.x)[:, 1:] > LEAST_LN_KD + 1.0)):
+        depth = cast.window.profile.depth[cast.window.mask.any(axis=1)]
+        raise ValueError(
+            f"the light of no band falls with depth in the {len(depth)} usable samples from "
+            f"{depth.min():.3g} to {depth.max():.3g} m: shade, a covered sensor or one depth "
+            "alone; give a range of depths (--from, --to) in which it does."
+        )
 
 
 def kd_fit(cast: Cast, fits: Mapping[str, BandFit]) -> Fit:

@@ -83,7 +83,7 @@ def test_missing_and_non_positive_values_are_masked_and_counted(tmp_path):
 def test_a_binary_file_is_refused(tmp_path):
     path = tmp_path / "cast.csv"
     path.write_bytes(b"\xff\xfe\xfa")
-    with pytest.raises(ValueError, match="not UTF-8 text"):
+    with pytest.raises(ValueError, match="is not text"):
         read_sheet(path)
 
 

@@ -109,7 +109,7 @@ def test_par_as_measured_reaches_its_depths():
         bent = par * np.exp(0.1 * np.maximum(DEPTH - 5.0, 0.0))
         light = light_of_sensor(cast(PAR=bent * noise))
         assert light is not None
-        low, high = light_quantities(light, True)[0]["Z_10"].interval()
+        low, high = light_quantities(light, True, None)[0]["Z_10"].interval()
         inside += low <= 5.0 + (np.log(10.0) - 1.5) / 0.2 <= high
     # The place of the bend is taken as known, which the interval does not hold.
     assert binom.ppf(0.005, count, 0.9) <= inside <= count
