@@ -105,7 +105,8 @@ def _attributes(spec: Any) -> dict[str, Any]:
     """The metadata, without texts that are not Unicode."""
     found = {}
     for number in range(len(spec.extra_attribs)):
-        with contextlib.suppress(UnicodeDecodeError):
+        # A name that is not Unicode can be read, but not asked for: TypeError.
+        with contextlib.suppress(UnicodeDecodeError, TypeError):
             name = spec.extra_attribs[number].name
             found[name] = spec.getattribute(name)
     return found
@@ -219,9 +220,9 @@ def read_numpy(path: Path, most: int) -> np.ndarray:
                     raise ValueError(f"{path} must hold one array, not {len(members)} ({named}).")
                 with archive.open(members[0]) as stream:
                     return _read_array(path, stream, members[0].file_size, most)
-    except (zipfile.BadZipFile, zlib.error, EOFError, OSError, RuntimeError) as error:
-        if isinstance(error, OSError) and error.errno is not None:
-            raise
+    except (PermissionError, FileNotFoundError):
+        raise
+    except (zipfile.BadZipFile, zlib.error, EOFError, OSError, RuntimeError):
         raise ValueError(f"{path} is no readable numpy file: it is damaged or cut short.") from None
 
 

@@ -47,6 +47,24 @@ def test_a_data_window_lies_where_the_display_window_says(tmp_path, window, disp
     np.testing.assert_array_equal(found, truth)
 
 
+@pytest.mark.parametrize("place", [b"remark", b"worded"])
+def test_metadata_that_is_not_unicode_is_passed_over(tmp_path, place):
+    path = tmp_path / "a.exr"
+    spec = oiio.ImageSpec(10, 8, 3, "float")
+    spec.attribute("remark", "worded")
+    spec.attribute("other", "text")
+    out = oiio.ImageOutput.create(str(path))
+    assert out.open(str(path), spec)
+    assert out.write_image(VALUES)
+    out.close()
+    whole = path.read_bytes()
+    assert place in whole
+    path.write_bytes(whole.replace(place, place[:2] + b"\xff" + place[3:]))
+    found = read_image(path, 10**6)
+    np.testing.assert_array_equal(found.values, VALUES)
+    assert found.attributes["other"] == "text"
+
+
 def write_deep(path):
     spec = oiio.ImageSpec(10, 8, 4, "float")
     spec.deep = True
@@ -110,6 +128,8 @@ def hostile(path, kind):
     if kind == "damaged":
         at = whole.index(b"arr_0.npy") + 40
         whole[at : at + 8] = b"\xff" * 8
+    elif kind == "offset":  # of the directory, by 100 bytes too large
+        whole[-6:-2] = (int.from_bytes(whole[-6:-2], "little") + 100).to_bytes(4, "little")
     elif kind == "cut":
         whole = whole[: len(whole) // 2]
     path.write_bytes(bytes(whole))
@@ -126,6 +146,7 @@ def hostile(path, kind):
         ("text", "holds no numpy array"),
         ("two", r"must hold one array, not 2 \(arr_0, other\)"),
         ("damaged", "damaged or cut short"),
+        ("offset", "damaged or cut short"),
         ("cut", "damaged or cut short"),
     ],
 )
