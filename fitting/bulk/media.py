@@ -147,7 +147,8 @@ class Populations(AbstractMedium):
     Unknown of each: `<name>_fraction` of the volume, within decades of the one given.  With
     `sizes` also, as nuisances, what its distribution has: `<name>_exponent` of a power law (0.3
     about the one given); `<name>_mean` (r_43, um; 50 %) and `<name>_cv` (30 %) of a log-normal.
-    The limits of the radii stay as they are: leave room.  Exchange a `Parameter` to change a prior.
+    The limits of the radii are fixed: choose them wide enough.  To change a prior, exchange its
+    `Parameter`.
     """
 
     populations: dict[str, particles.Population]

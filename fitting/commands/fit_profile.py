@@ -260,13 +260,13 @@ def _known(texts: list[str]) -> dict:
     from fitting.water_model.unknowns import constituents
 
     known = {p.name: p for p in constituents()}
+    # Of layers, as cdom_2; the fit answers for layers that it does not have.
+    of_layers = {f"{p.name}_{i}": p for i in range(1, 10) for p in constituents()}
     priors = {}
     for text in texts:
         name, _, rest = text.partition("=")
         value, _, spread = rest.partition("+-")
-        # Of one layer: cdom_2.
-        kind = name[:-2] if name[-2:-1] == "_" and name[-1].isdigit() else name
-        if kind not in known:
+        if name not in known and name not in of_layers:
             from oceaninv.foundation.tables import unknown
 
             raise unknown("constituent", name, sorted(known))
@@ -279,7 +279,7 @@ def _known(texts: list[str]) -> dict:
                 f"--know is {text!r}; write name=value+-spread, both positive, as cdom=0.12+-0.01."
             ) from None
         # The coordinate is a logarithm: its spread is the relative one.
-        priors[name] = Parameter(name, centre, sd / centre, unit=known[kind].unit)
+        priors[name] = Parameter(name, centre, sd / centre, unit=(known | of_layers)[name].unit)
     return priors
 
 
@@ -354,7 +354,6 @@ def _print_layers(fit: "Fit") -> None:
     for top, bottom in itertools.pairwise(edges):
         table.add_column(f"{top:.3g} - {bottom:.3g} m", justify="right")
     for wavelength in fit.wavelength:
-        names = [f"Kd_{wavelength:g}_{i}" for i in range(1, len(edges))]
-        intervals = [fit.interval(name) for name in names]
-        table.add_row(f"{wavelength:g}", *(f"{low:.3g} - {high:.3g}" for low, high in intervals))
+        layers = [n for n in fit.numbers() if n.wavelength == wavelength]
+        table.add_row(f"{wavelength:g}", *(number.interval_text for number in layers))
     Console().print(table)

@@ -11,7 +11,7 @@ if TYPE_CHECKING:
 
 
 def _stem(path: Path | None) -> Path | None:
-    """STEM.nc means STEM, lest STEM.nc.nc be written."""
+    """STEM.nc means STEM, so that no STEM.nc.nc is written."""
     return path.with_suffix("") if path is not None and path.suffix == ".nc" else path
 
 
@@ -36,7 +36,8 @@ SolarZenith = Annotated[
 Tolerance = Annotated[
     float | None,
     typer.Option(
-        help="Relative error that the model of the light may bring: chooses the cheapest such."
+        help="Largest acceptable model error (relative); the cheapest transport that meets it is "
+        "chosen."
     ),
 ]
 

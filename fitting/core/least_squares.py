@@ -1,4 +1,4 @@
-"""Least squares with priors: the one solver that the three jobs share, and its cross-check."""
+"""Least squares with priors: the solver that all fits share, and its cross-check."""
 
 from collections.abc import Callable
 from typing import Any
@@ -31,10 +31,10 @@ class Optimum(eqx.Module):
 
 
 def _with_matrix(function: Residual) -> Residual:
-    """The same function, linear in the first argument's tangent through a matrix made once.
+    """The same function, whose derivative in the first argument is a matrix computed once.
 
-    The solver applies the linearised residual in several places; without this, each would be a
-    copy of the model's derivative to compile.
+    The solver applies the linearised residual in several places; without this, each place would
+    compile a copy of the model's derivative.
     """
 
     def rule(primals, tangents):
@@ -69,11 +69,11 @@ def least_squares(
 ) -> Optimum:
     """Minimise |residual(x, args)|^2 by Levenberg-Marquardt with forward-mode derivatives.
 
-    `scale`: how far each coordinate may be expected to move, 1 unless given; the damping is equal
-    in these units.  A search has converged when the step that would remain in the linearised
-    problem is below a thousandth of a standard deviation.
+    `scale`: expected size of each coordinate's change, 1 unless given; the damping is equal in
+    these units.  A search has converged when the remaining step of the linearised problem is below
+    a thousandth of a standard deviation.
 
-    Pure: jit and vmap it; a lane that fails carries a code instead of raising.
+    Pure: jit and vmap it; a search that fails returns a code instead of raising.
     """
     # Stored programs need no solver, so a command that finds them is spared this import.
     import optimistix as optx
@@ -193,10 +193,10 @@ def cross_check(
     reach: float = 1e3,
     rounds: int = 3,
 ) -> Float[Array, " unknown"]:
-    """The same optimum by another road: jaxopt's bound-constrained L-BFGS (SciPy's).
+    """The same optimum by another method: jaxopt's bound-constrained L-BFGS (SciPy's).
 
-    Works in coordinates in which the problem, linearised where a round starts, is round (one unit
-    is one standard deviation), inside a box of +- `reach` units; curved valleys need some rounds.
+    Each round works in coordinates in which the linearised problem has unit covariance, inside a
+    box of +- `reach` standard deviations; strongly nonlinear problems need several rounds.
     Independent of `least_squares` in method, derivatives (reverse mode) and library.
     """
     import warnings

@@ -1,4 +1,4 @@
-"""Joint regions of several numbers of a fit, and the intervals that go with them."""
+"""Joint regions of several numbers of a fit, and the intervals that they contain."""
 
 import dataclasses
 from collections.abc import Mapping
@@ -14,10 +14,11 @@ from fitting.core.problem import AbstractProblem
 from fitting.core.program_cache import cached_jit
 from fitting.core.result import Fit
 
-# How hard numbers are held, in units of one over their standard deviations: one search after the
-# other.  The last lets the sum of squares be short of the exact one by a part in ten thousand.
+# Weights that hold numbers at their values, in units of one over their standard deviations, in
+# successive searches.  With the last, the sum of squares is short of the exact one by a part in
+# ten thousand.
 _PULL = (1.0, 10.0, 100.0)
-# Coordinates move at most so far at the first step.
+# Largest expected change of a coordinate, the scale of the searches.
 _FAR = 2.5
 
 
@@ -48,14 +49,14 @@ class Region:
 
 @dataclasses.dataclass(frozen=True)
 class LikelihoodRegion:
-    """A joint region by the likelihood ratio: the values with which readings and priors can still
-    be explained nearly as well as with the best, every other unknown free to make up for them.
+    """A joint region by the likelihood ratio: the values that explain readings and priors nearly
+    as well as the best ones do, with every other unknown optimised.
 
-    With all unknowns that are not named chosen best, twice the loss of log posterior is
-    chi-squared with as many degrees of freedom as there are names (Wilks 1938, Annals of
-    Mathematical Statistics 9:60), wherever in a curved valley the optimum came to lie.  It needs
-    no ellipsoid, and unlike a share of the posterior it holds one given water as often as it says
-    even where the priors divide what the readings leave undivided.
+    Twice the loss of log posterior, with all unknowns that are not named optimised, is chi-squared
+    with as many degrees of freedom as there are names (Wilks 1938, Annals of Mathematical
+    Statistics 9:60), wherever on a curved ridge of the posterior the optimum lies.  The region
+    needs no ellipsoid.  Unlike a region of posterior probability, it contains one given water at
+    the stated rate even where only the priors separate constituents.
 
     - `names`; `centre`: ln of their values at the optimum; `covariance`: (name, name) linearised,
       an ellipsoid to draw; `radius2`: the loss that is allowed; `least`: the sum of squares at

@@ -41,7 +41,7 @@ class Log(AbstractTransform):
     """Positive numbers; a spread is of the natural logarithm (0.1 is about 10 %)."""
 
     def physical(self, x: Any) -> Any:
-        # Beyond e^+-46 nothing is physical and float32 overflows: the solver may look, not go.
+        # Values beyond e^+-46 are not physical and overflow float32: limit the solver's trials.
         return jnp.exp(jnp.clip(x, -46.0, 46.0)) if isinstance(x, jax.Array) else np.exp(x)
 
     def coordinate(self, value: float) -> float:
@@ -74,7 +74,7 @@ class Parameter:
     - `name`, `unit`: for tables and files.
     - `centre`: physical value at which the prior is centred and the search starts.
     - `spread`: standard deviation of the prior in the transform's coordinate; `None` is flat.
-    - `nuisance`: it is not asked for but must be free for the intervals to be honest.
+    - `nuisance`: it is not asked for, but its uncertainty must widen the intervals of others.
     - What it belongs to, where it belongs to one of several: `layer` of water, from 1 at the top;
       `photograph` and `chart` of it, from 0; `channel` of the camera; `wavelength`, nm.
     - `kind`: what it is, without what it belongs to ("cdom" of cdom_2); its name unless given.
@@ -104,8 +104,8 @@ class Parameter:
 class Prior(eqx.Module):
     """The numbers of a set of priors: arrays, so that one program serves all their values.
 
-    `centre`: coordinates; `weight`: 1/spread, 0 where flat; `scale`: how far each coordinate may
-    be expected to move, the spread or 1 where flat.
+    `centre`: coordinates; `weight`: 1/spread, 0 where flat; `scale`: expected size of each
+    coordinate's change, the spread or 1 where flat.
     """
 
     centre: Float[Array, " unknown"]

@@ -1,4 +1,4 @@
-"""What every search and sampler sees of a fit: a residual, and quantities to report."""
+"""The interface of a fit to searches and samplers: a residual, and quantities to report."""
 
 import abc
 

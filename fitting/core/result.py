@@ -1,4 +1,4 @@
-"""What a fit knows and does not know: values, intervals, correlations, identifiability."""
+"""The result of a fit: values, intervals, correlations, identifiability."""
 
 import dataclasses
 import json
@@ -19,8 +19,8 @@ Vector = Float[np.ndarray, " unknown"]
 
 LEVEL = 0.95  # of the intervals in tables, pictures and files
 
-# A standard deviation of the logarithm beyond which a number would mislead: only an interval is
-# given.  A posterior as wide as this share of its prior was decided by the prior.
+# Standard deviation of the logarithm beyond which a value would mislead: only its interval is
+# given.  Share of the prior's width above which the prior, not the data, determines a number.
 _UNKNOWN_SD = 0.5
 _PRIOR_SHARE = 0.8
 
@@ -76,13 +76,13 @@ def half_width(level: float, sd: Any, second_order_sd: Any = 0.0, dof: Any = Non
 
 
 def amount_bias(sd: Any):
-    """What the mode of an amount's logarithm errs by on average, its standard deviations given.
+    """Mean error of the mode of an amount's logarithm, from its standard deviation.
 
-    Readings are nearly linear in amounts, and of (e^x - 1)/s the mode of x is off by -s^2/2 (Box
-    1971, Journal of the Royal Statistical Society B 33:171); bounded by half a standard deviation,
-    for second order is not to be trusted further.  Where unknowns are known well, Box's sum over
-    all of them comes to this; where they are not, it falls short at optima that came out low, which
-    are furthest off.
+    Readings are nearly linear in amounts, and the mode of x in (e^x - 1)/s has the bias -s^2/2 (Box
+    1971, Journal of the Royal Statistical Society B 33:171).  The bias is limited to half a
+    standard deviation, beyond which second order is not valid.  Where the unknowns are well
+    determined, this equals Box's sum over all of them; where they are not, that sum is too small at
+    optima that came out low, which err most.
     """
     return -0.5 * sd * sd.clip(max=1.0)
 
@@ -165,7 +165,7 @@ class Fit:
     - `problem`: the posterior itself, for `fitting.sample`; None where a fit keeps none.
     - `samples`: (draw, unknown) coordinates drawn from the posterior, or None; intervals are
       then their quantiles.
-    - `bias`: (unknown,) what the mode `x` errs by on average (`amount_bias`); taken off `value`.
+    - `bias`: (unknown,) mean error of the mode `x` (`amount_bias`); subtracted in `value`.
       `second_order_sd`: (unknown,) standard deviation of its second-order error, which widens the
       intervals (see `half_width`).  None for neither.
     """
@@ -193,7 +193,7 @@ class Fit:
 
     @property
     def centre(self) -> Vector:
-        """(unknown,) coordinates of the best values: the mode less its bias."""
+        """(unknown,) coordinates of the best values: the mode minus its bias."""
         return self.x if self.bias is None else self.x - self.bias
 
     @property
@@ -306,9 +306,9 @@ class Fit:
 
     @property
     def wide(self) -> bool:
-        """Whether some asked-for number is so uncertain that the ellipsoid may mislead.
+        """Whether some number that is asked for is so uncertain that the ellipsoid may mislead.
 
-        `fitting.sample` then gives honest intervals and joint regions.
+        `fitting.sample` then gives intervals and joint regions that are valid.
         """
         scalars = [float(q.sd) for q in self.quantities.values() if q.value.ndim == 0]
         asked = [sd for p, sd in zip(self.parameters, self.sd.values(), strict=True)

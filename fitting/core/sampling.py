@@ -1,4 +1,4 @@
-"""Posterior draws where the ellipsoid at the optimum would mislead."""
+"""Draws from the posterior, for fits whose ellipsoid at the optimum would mislead."""
 
 import dataclasses
 from collections.abc import Callable
@@ -84,7 +84,7 @@ def _by_nuts(fit: Fit, key, sampler: NUTS) -> Fit:
     )
     pilot = _run(problem, centre, axes, start, first, sampler, sampler.warm)[0]
     flat = np.asarray(pilot).reshape(-1, len(fit.x))
-    # Few pilot draws: pulled towards the ellipsoid, whose directions they cannot all measure.
+    # The pilot draws are few: shrink their covariance towards that of the ellipsoid.
     spread = np.cov(flat.T) * 0.8 + 0.2 * np.asarray(fit.covariance)
     middle, new = flat.mean(axis=0), _root(spread)
     start = np.linalg.solve(np.asarray(new), (np.asarray(pilot)[:, -1] - middle).T).T

@@ -1,9 +1,9 @@
-"""Light fields whose derivatives are found band by band.
+"""Derivatives of light fields by changing all bands at once.
 
-Of elastic light a band depends on the water of that band alone, and a ray or depth on its own
-distance: changing all bands, or all distances, together tells the derivative of each.  A derivative
-in many unknowns then takes as many passes through the light field as there are rows of optical
-properties that they change (five or so), not as many as unknowns.
+Elastic light of a band depends on the water in that band only, and a ray or depth on its own
+distance only: one pass that changes all bands, or all distances, gives the derivative of each.  A
+derivative in many unknowns then takes as many passes through the light field as there are rows of
+optical properties that they change (five or so), not as many as there are unknowns.
 """
 
 import equinox as eqx
@@ -16,7 +16,7 @@ from oceaninv.transport.base import AbstractTransport
 
 
 def _basis(leaves: list) -> tuple:
-    """Of each leaf (leaf, ...) ones in its own turn, zeros in the others'."""
+    """For each leaf an array (leaf, ...): ones in the row of its own index, zeros in the others."""
     eye = jnp.eye(len(leaves), dtype=leaves[0].dtype)
     return tuple(
         jnp.broadcast_to(
@@ -54,11 +54,11 @@ def _bandwise(function):
             return function(tuple(all_[: len(rows)]), tuple(all_[len(rows) : -1]), all_[-1], rest)
 
         here = tuple(leaves[k] for k in live)
-        # One pass after the other: side by side, what they share would be computed in each.
+        # One pass after another: in a batch, each would recompute what they share.
         value, linear = jax.linearize(of, *here)
         slopes = jax.lax.map(lambda push: linear(*push), _basis(list(here)))
-        # As a product of matrices: in one of elements the compiler would repeat the light field for
-        # every unknown (XLA on a CPU fuses what makes an element into each of its uses).
+        # As a matrix product: in an elementwise one, XLA on a CPU would recompute the light field
+        # for every unknown, as it fuses the computation of an element into each of its uses.
         shape = slopes.shape
         pushes = jnp.stack([jnp.broadcast_to(moves[k], shape[1:]) for k in live])
         return value, jnp.einsum("knw,knw->nw", slopes, pushes)
@@ -100,9 +100,9 @@ def path_radiance(
     distance: Float[Array, " ray"],
     transport: AbstractTransport,
 ) -> Float[Array, "ray wl"]:
-    """Light that the water sends along each line of sight to an eye at `depth`, within `distance`.
+    """Path radiance of each line of sight from an eye at `depth` over `distance` (m).
 
-    Of one water lit by the sun alone under a flat surface; without derivative in `direction`.
+    For one water lit by the sun alone under a flat surface; no derivative in `direction`.
     """
     rows, phases = _parts(scene)
     numbers = (scene.light.zenith, depth)

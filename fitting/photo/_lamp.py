@@ -1,4 +1,4 @@
-"""Charts lit by a lamp at the camera: what they send, and what the water between scatters back."""
+"""Light of charts lit by a lamp at the camera, and light scattered back by the water between."""
 
 import jax.numpy as jnp
 from jaxtyping import Array, Float
@@ -35,7 +35,7 @@ def lamplit(
     dtype = distance.dtype
     nodes, weights = jnp.asarray(_NODES, dtype), jnp.asarray(_WEIGHTS, dtype)
     # The two E2 together, by quadrature in ln r: library ones take longer to compile than the
-    # rest of a fit, and differences of them cancel.  Beyond e^-36 nothing comes back.
+    # rest of a fit, and their differences lose digits.  Beyond e^-36 no light returns.
     nearest = jnp.maximum(distance, overlap_distance)[:, None]
     far = jnp.minimum(nearest, overlap_distance + 36.0 / twice[None, :])
     span = jnp.log(far / overlap_distance)

@@ -1,4 +1,4 @@
-"""What a fit's answers lean on besides its priors: the tables and shapes that its model fixes."""
+"""Sensitivity of a fit to the tables and shapes that its model fixes."""
 
 import dataclasses
 from typing import Any
@@ -22,7 +22,7 @@ def open_to(parameters: Parameters, names=tuple(ALTERNATIVES)) -> Parameters:
 
 
 def opened(problem: Any) -> Any:
-    """The same posterior as a function of the unknowns and of what else could be assumed."""
+    """The same posterior as a function of the unknowns and of the alternative assumptions."""
     zero = jnp.zeros(len(ALTERNATIVES), problem.prior.centre.dtype)
     prior = Prior(
         jnp.concatenate([problem.prior.centre, zero]),
@@ -50,23 +50,23 @@ def _refitted(problem: AbstractProblem, x, scale):
 
 
 def assumptions(fit: Fit) -> dict[str, dict[str, float]]:
-    """How far each answer would move if the fit took something else for granted.
+    """The change of each answer if the fit assumed something else.
 
-    `Fit.sensitivity` says it of what has a prior.  This says it of what is fixed: which table of
-    pure water, which spectrum of algal absorption, which phase function of particles, and how
-    their backscattering goes; see `fitting.water_model.alternatives.ALTERNATIVES` for what is put
-    in the place.
+    `Fit.sensitivity` is about assumptions with a prior; this is about those that are fixed: the
+    table of pure water, the spectrum of algal absorption, the phase function of particles, and the
+    wavelength dependence of their backscattering.  The alternatives to them are in
+    `fitting.water_model.alternatives.ALTERNATIVES`.
 
     **Returns** by constituent and scalar quantity, and by alternative, the change of ln of the
-    answer, from a search with the alternative that begins at the fit's optimum.  If the water is
-    like the alternative, the fit errs by about the opposite.
+    answer in a search with the alternative that starts at the fit's optimum.  Where the alternative
+    is true, the error of the fit is about the opposite.
 
     **Raises** ValueError for a fit that is not of photographs.
     """
     from fitting.photo.problem import PhotoProblem
 
     if not isinstance(fit.problem, PhotoProblem):
-        raise ValueError("assumptions are those of a fit of photographs; this fit is of none.")
+        raise ValueError("assumptions need a fit of photographs; this fit is of something else.")
     scale = fit.problem.prior.scale
     moved, logs = _refitted(opened(fit.problem), jnp.asarray(fit.x), scale)
     moved, logs = np.asarray(moved), {name: np.asarray(value) for name, value in logs.items()}

@@ -1,4 +1,4 @@
-"""What a planned set of photographs could find out."""
+"""Expected uncertainties of a planned set of photographs."""
 
 import dataclasses
 from collections.abc import Mapping, Sequence
@@ -45,7 +45,7 @@ def design(
     know: Known | None = None,
     noise: float = 0.03,
 ) -> Fit:
-    """What a planned protocol would tell about a water, before the dive.
+    """Expected uncertainties of a planned protocol, before the dive.
 
     **Arguments:** as in `fit_photo`, but the readings of `photos` may be any positive numbers;
     `water`: the supposed truth by parameter name (`{"chlorophyll": 1.0, ...}`); `noise`: relative

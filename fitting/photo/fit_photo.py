@@ -35,7 +35,7 @@ Known = Mapping[str, tuple[float, float]]
 
 
 def _derived(problem: PhotoProblem, optimum: Optimum):
-    """Optimum, covariance, quantities, their slopes, and what curvature does to all of them."""
+    """Optimum, covariance, quantities, their derivatives, and second-order errors of all."""
     quantities, slopes = value_and_jacobian(problem.quantities, optimum.x)
     cov = covariance(optimum.jacobian)
 
@@ -105,8 +105,8 @@ def _solve(problem: PhotoProblem, starts: Float[Array, "start unknown"]):
 
 @cached_jit
 def _solve_batch(problems: PhotoProblem):
-    # One after the other in one program: side by side, every search would take as many steps as
-    # the longest and both sides of every branch, which is slower than a loop of fits (measured).
+    # One after another in one program: in a vmapped batch, every search would take as many steps
+    # as the longest and both sides of every branch, which is slower than a loop (measured).
     return jax.lax.map(lambda p: _derived(p, search(p, p.prior.centre)), problems)
 
 
@@ -178,18 +178,20 @@ def fit_photo(
 
     **Returns** a `Fit`.  Exposure, white balance, the light on each chart, the shape of the
     water's optical properties and the error of the closed form are free nuisances with priors, so
-    that the intervals of the quantities (Kd, c, bb, a_cdm) and constituents hold what is known.
+    that the intervals of the quantities (Kd, c, bb, a_cdm) and constituents include their
+    uncertainty.
 
     Constituents are corrected for the curvature of the model: readings are nearly linear in
     amounts, and the mode of a logarithm is then low by half its variance (Box 1971).  That bias,
-    bounded by half a standard deviation, is taken off their values (`Fit.bias`); quantities
-    hardly have one and are those of the mode, as are `Fit.x`, the predictions and the middles of
-    intervals, which curvature widens (`Fit.second_order_sd`).
+    limited to half a standard deviation, is subtracted from their values (`Fit.bias`); quantities
+    have hardly any and are those of the mode, as are `Fit.x`, the predictions and the middles of
+    intervals, which second-order errors widen (`Fit.second_order_sd`).
 
-    Standard deviations of unknowns beside a constituent that may as well be absent are those of
-    their profiles along it (`Fit.covariance` is scaled): at such an optimum the ellipsoid takes it
-    for known to be absent.  That of a constituent known to 0.15 or worse is of the longer side of
-    its own profile: the ellipsoid is too small where it came out high.
+    Where a constituent may be absent, standard deviations of the other unknowns are those of the
+    profile likelihood along it (`Fit.covariance` is scaled): the ellipsoid at such an optimum
+    treats the constituent as known to be absent.  The standard deviation of a constituent that is
+    uncertain by 0.15 or more is that of the wider side of its own profile: the ellipsoid is too
+    small where the constituent came out high.
 
     Readings that scatter more about the model than their noise allows have their noise estimated
     from that scatter, and the fit done again: `Fit.noise_factor` says by how much the stated noise
@@ -261,10 +263,10 @@ def fit_photos(
     priors: dict[str, Parameter] | None = None,
     matrix: bool = False,
 ) -> list[Fit]:
-    """Fit many photographs, each of its own water, in one batched program.
+    """Fit many photographs, each of its own water, in one program.
 
     The photographs must be alike: as many charts, patches and backgrounds each, in one order.
-    Arguments as in `fit_photo`; a search that fails says so in its own `result`.
+    Arguments as in `fit_photo`; a search that fails says so in the `status` of its `Fit`.
     """
     transport = oi.TwoStream() if transport is None else transport
     made = [_problem([p], transport, priors, matrix, None, None, None) for p in photos]

@@ -1,4 +1,4 @@
-"""What photographs of charts, open water and reefs should show: the forward side of a photo fit."""
+"""Predicted values of photographs of charts, open water and reefs: the model of a photo fit."""
 
 import equinox as eqx
 import jax
@@ -22,8 +22,8 @@ ALBEDO_TERMS = 4
 
 
 class PixelClasses(eqx.Module):
-    """Pixels of unknown reflectance, summarised: for equal range and noise, these statistics say
-    all that the pixels say under Gaussian reflectance.
+    """Summary of pixels of unknown reflectance: for equal range and noise, these statistics are
+    sufficient under Gaussian reflectance.
 
     - `count`: independent surfaces in each class of range; `mean`, `root`: mean of their values
       and a square root of their scatter; `noise`: variance of a value.
@@ -256,7 +256,7 @@ def _distances(values, readings: Readings, photo: int):
 
 
 def predict_pixels(lit: Lit, values, pixels: PixelClasses, transport, photo: int):
-    """(class, channel) mean values of pixels, and (class, channel, term) how they vary."""
+    """(class, channel) mean values of pixels, and (class, channel, term) their variation."""
     dtype = lit.depth.dtype
     direction = jnp.broadcast_to(pixels.direction, (pixels.distance.shape[0], 3))
     veil = path_radiance(lit.scene, lit.depth, direction, pixels.distance, transport)
@@ -278,9 +278,9 @@ def pixel_residual(lit: Lit, values, pixels: PixelClasses, transport, photo: int
 
     Each pixel's reflectance is the scene's mean plus Gaussian terms; given range, its value is
     then Gaussian with covariance S = H H^T + noise, H linear in the terms.  -2 ln L of a class is
-    count (tr S^-1 (scatter + (mean - m)(mean - m)^T) + ln det S); the determinant is what keeps a
-    fit from inventing bright water-free scenes.  Its residual is the root of its excess over the
-    noise alone.
+    count (tr S^-1 (scatter + (mean - m)(mean - m)^T) + ln det S); the determinant keeps a fit from
+    explaining the pixels by a bright scene without water.  Its residual is the root of the
+    difference from the determinant of the noise alone.
     """
     expected, vary = predict_pixels(lit, values, pixels, transport, photo)
     noise = jax.vmap(jnp.diag)(pixels.noise)

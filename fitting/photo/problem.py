@@ -137,8 +137,9 @@ def _unknowns(photos: Sequence[Photo], matrix: bool) -> Parameters:
         pigment_packaging(),
         Parameter("solar_zenith", max(sun, 1.0), 0.1, Log(), "degree", True),
         Parameter("sunlight_tilt", 0.0, 0.05, Identity(), "1", True),
-        # What the closed form gets wrong in Kd.  Set by an Ed that erred more than today's; kept,
-        # because the coverage in photo_statistics_mismatched.md was measured with it.
+        # Relative error of the closed form in Kd.  Estimated for a less accurate Ed than today's
+        # and not changed, because the coverage in
+        # photo_statistics_mismatched.md was measured with it.
         Parameter("kd_model_error", 0.0, 0.035, Identity(), "1", True),
         # The error of the closed-form path radiance, per channel.
         *(Parameter(f"veil_{c}", 1.0, 0.06, nuisance=True, kind="veil", channel=c) for c in "RGB"),
@@ -182,7 +183,8 @@ def _of_frame(p: int, photo: Photo) -> list[Parameter]:
     else:
         found.append(unknown("exposure", 1.0, photo.exposure_sd))
     for k, chart in enumerate(photo.charts):
-        # A lamp lights charts by the square of their distance, but for its cone and their tilt.
+        # A lamp lights charts by the inverse square of their distance; its cone and their tilt
+        # cause deviations.
         spread = _LAMP_EVENNESS if photo.lamp else 1.0
         found.append(unknown("chart", 1.0, spread, chart=k))
         if chart.distance_sd > 0:
@@ -210,7 +212,7 @@ def predict_all(layout, readings, transport, sunlight, x):
 
 
 def _start_gains(parameters: Parameters, readings, transport, sunlight) -> Parameters:
-    """Centre the gains where the model at the priors' centres is as bright as the readings."""
+    """Centre the gains so that the model at the priors' centres is as bright as the readings."""
     centre = parameters.prior().centre
     at_centre = predict_all(parameters.layout(), readings, transport, sunlight, centre)
     changes, shared = {}, []

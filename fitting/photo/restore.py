@@ -40,14 +40,14 @@ class Restored:
     veil: Float[np.ndarray, "3"]
 
     def message(self) -> str | None:
-        """What the darkest pixels say about the fitted veil; None where they do not object."""
+        """A message where the darkest pixels contradict the fitted veil; else None."""
         if self.veil.min() > 0.9:
             return None
         shares = ", ".join(f"{100 * share:.0f}" for share in self.veil)
         return (
-            f"the darkest pixels leave room for {shares} % (R, G, B) of the fitted veil, no more "
-            "was taken off: what they show is in shade, or the water is clearer than fitted (small "
-            "charts read too little contrast, in blur and glare)"
+            f"only {shares} % (R, G, B) of the fitted veil was subtracted: the darkest pixels "
+            "are no brighter than that, so they lie in shade or the water is clearer than fitted "
+            "(small charts have too little contrast because of blur and glare)"
         )
 
     def save(self, stem: str | Path, *, overwrite: bool = False) -> list[Path]:
@@ -58,7 +58,7 @@ class Restored:
         paths = restored_paths(Path(stem))
         write = functools.partial(write_image, overwrite=overwrite)
         write(paths[0], self.reflectance, ["R", "G", "B"], "float", "reflectance, linear")
-        # What has no range or is mostly noise would only dazzle.
+        # Pixels without range, or of mostly noise, are black.
         seen = np.where((self.noise < 50.0)[:, :, None], self.reflectance, 0.0)
         write(paths[1], display(seen), ["R", "G", "B"], "uint8", "reflectance, gamma 2.2")
         self._draw_residual(paths[2], overwrite)
@@ -156,7 +156,7 @@ def restore(
     camera, full = values @ np.linalg.inv(output).T, np.exp(bright)
     found = np.where(known[:, :, None], (camera - path) / full, np.nan)
     off = (found - np.clip(found, 0.0, 1.0)) * full / np.maximum(camera, 1e-12)
-    # Judged and lowered in the file's channels: there dark is dark, whatever the matrix.
+    # Lowered in the file's channels, in which dark pixels are dark whatever the matrix.
     seen = path @ output.T
     share = np.clip(np.nanquantile((values / seen)[known], dark, axis=0), 0.0, 1.0)
     lowered = (values - share * seen) @ np.linalg.inv(output).T
@@ -173,7 +173,7 @@ def _along(problem, x, ranges, photo: int, zenith):
     values = problem.layout.values(x)
     readings = problem.readings[photo]
     lit = light_up(values, readings, problem.sunlight, photo)
-    # Of all rays of a photograph the azimuth is that of its readings.
+    # All rays of a photograph have the azimuth of its readings.
     first = readings.direction[0] if len(readings.ray) else readings.pixels.direction
     around = jnp.arctan2(first[1], first[0])
     tilt = jnp.radians(zenith)

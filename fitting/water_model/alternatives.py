@@ -1,7 +1,7 @@
-"""What the model of a water takes for granted, and what else could be taken.
+"""Fixed assumptions of the water model, and alternatives to them.
 
 Each alternative is a coordinate of its own, named `assumed_<alternative>`: 0 is the model as it
-is, 1 the alternative.  Waters that name none are computed without any of this.
+is, 1 the alternative.  Waters without such coordinates are computed without the alternatives.
 """
 
 import functools
@@ -19,12 +19,12 @@ from oceaninv.water import phase, pure_water
 from oceaninv.water.bio_optics import particle_phase
 
 _TABLES = ("PopeFry1997", "WOPPv3", "SmithBaker1981")
-# The ratio bb/b of algae and of other particles, by what factors: 0.005 and 0.025.
+# Factors on the ratio bb/b of algae and of other particles: 0.005 and 0.025.
 _SPLIT = (0.5, 1.4)
-# How a ratio bb/b that varies with wavelength goes, as a power.
+# Exponent of a ratio bb/b that falls with wavelength.
 _SLANT = 0.5
 
-# What is assumed instead, by name.
+# The alternatives by name.
 ALTERNATIVES = {
     **{f"a_w_{name}": f"absorption of pure water by {name}, not IOCCG2018" for name in _TABLES},
     "b_w_Morel1974": "scattering of pure sea water by Morel1974, not Zhang2009",
@@ -105,7 +105,7 @@ def _ratios() -> tuple[float, float, float]:
 
 def _particles(iops: IOPs) -> tuple[int, int]:
     """Rows of the two shapes that particles are mixed of."""
-    # Found by what they are: a row's object is another after every change of the water.
+    # Found by their type: every change of the water makes new objects.
     low, high = (i for i, p in enumerate(iops.phases) if isinstance(p, phase.FournierForand))
     return low, high
 
@@ -122,7 +122,7 @@ def _slanted(iops: IOPs, share) -> IOPs:
 
 
 def _petzold(iops: IOPs, share) -> IOPs:
-    """As much of the average as leaves b and bb as they are, the rest by either shape."""
+    """The largest share of the average phase function that keeps b and bb, the rest as before."""
     (low, high), (least, most, ratio) = _particles(iops), _ratios()
     b, other = iops.b_components, _average()
     # An amount p of the average takes the place of these amounts of the two shapes.

@@ -1,4 +1,4 @@
-"""Constituents of each of several layers of water: unknowns, the water they make, what it is like.
+"""Constituents of each of several layers of water: unknowns, the water, and its quantities.
 
 The layers share the shapes of their optical properties (slopes, specific values); chlorophyll, CDOM
 and detritus differ, and so does every layer's thickness, which the light itself fixes better than
@@ -51,7 +51,7 @@ def interfaces_of(parameters: Parameters, x: np.ndarray) -> list[float]:
 
 
 def roundings(edges: np.ndarray, depth: np.ndarray) -> np.ndarray:
-    """Half of the widest step between samples about each interface, m: samples tell no more."""
+    """Half of the widest step between samples about each interface, m: the depth resolution."""
     places = np.unique(depth)  # a sensor may dwell
     steps = np.diff(places)
     at = np.searchsorted(places, edges)
@@ -59,10 +59,10 @@ def roundings(edges: np.ndarray, depth: np.ndarray) -> np.ndarray:
 
 
 def check_layers(transport: AbstractTransport) -> None:
-    """ValueError unless the transport knows layers of water."""
+    """ValueError unless the transport models layers of water."""
     if not isinstance(transport, PlaneParallel):
         raise ValueError(
-            f"{type(transport).__name__} knows one homogeneous water: for constituents in layers "
+            f"{type(transport).__name__} models one homogeneous water: for constituents in layers "
             "take PlaneParallel, or fit one layer."
         )
 
@@ -75,7 +75,7 @@ def water_of(values: Values, wavelength: np.ndarray) -> IOPs | Layers:
 
 
 def interfaces(values: Values) -> Float[Array, " interface"]:
-    """Depths of the interfaces, m, as the depth sensor tells them."""
+    """Depths of the interfaces, m, as the depth sensor measures them."""
     names = itertools.takewhile(values.__contains__, map(_thickness, itertools.count(1)))
     return jnp.cumsum(jnp.stack([values[name] for name in names]))
 

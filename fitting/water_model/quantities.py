@@ -1,4 +1,4 @@
-"""What a fitted water is like, in the numbers that people compare: Kd, c, bb, a_cdm."""
+"""Quantities of a fitted water: Kd, c, bb, a_cdm."""
 
 import dataclasses
 from collections.abc import Mapping
@@ -67,8 +67,8 @@ def water_quantities(
 def nearest_jerlov(wavelength: np.ndarray, kd: Quantity) -> tuple[str, float]:
     """The Jerlov type whose Kd (Jerlov 1976) is nearest, and how far it is.
 
-    Nearest in ln Kd over all bands, each weighed by its own variance and 10 % for what types
-    differ by among themselves; how far: the root mean square of that difference, unweighted.
+    Nearest in ln Kd over all bands, weighted by each band's variance plus 10 % for the differences
+    between types; the distance is the unweighted root mean square difference.
     """
     weight = 1.0 / (kd.sd**2 + 0.1**2)
     best = ("", np.inf, np.inf)

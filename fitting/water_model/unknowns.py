@@ -1,4 +1,4 @@
-"""The bio-optical model of a fit: unknowns, their priors, and the optical properties they make."""
+"""The bio-optical model of a fit: unknowns, their priors, and the optical properties."""
 
 import math
 from collections.abc import Mapping
@@ -25,7 +25,7 @@ def constituents() -> tuple[Parameter, ...]:
 
 
 def shape_nuisances() -> tuple[Parameter, ...]:
-    """What the default bio-optical model fixes but nature varies, with the spread of nature.
+    """What the default bio-optical model fixes but nature varies, with its natural variability.
 
     - `detritus_scattering_ratio`: scattering over absorption of detritus at 400 nm, b_d/a_d(400):
       5 within a factor of 2.
@@ -56,9 +56,9 @@ _SHAPE_KNOTS = (412, 443, 490, 555, 620, 670)
 
 
 def absorption_shapes() -> tuple[Parameter, ...]:
-    """How far the spectrum of all that absorbs besides water departs from the model's sum.
+    """Deviation of the absorption spectrum of everything but water from the model's sum.
 
-    Factors at six wavelengths, between which they go linearly.  Algae differ in the shape of their
+    Factors at six wavelengths, linear between them.  Algae differ in the shape of their
     absorption by a third at equal chlorophyll (Bricaud et al. 1995, fig. 3), CDOM and detritus from
     exponentials by less; 0.3 holds either.
     """
@@ -73,9 +73,9 @@ def pigment_packaging() -> Parameter:
     of their absorption.
 
     Bricaud et al. 1998 give a mean shape for every chlorophyll, flatter the more there is; at equal
-    chlorophyll, cells of other sizes have other shapes.  Taken at its word, the mean alone would
-    tell chlorophyll to a tenth.  A factor of 3.3 moves the ratio of red to blue absorption by a
-    third, the scatter of Bricaud et al. 1995 (fig. 3).
+    chlorophyll, cells of other sizes have other shapes.  Without this unknown, the mean shape alone
+    would determine chlorophyll to a tenth.  A factor of 3.3 moves the ratio of red to blue
+    absorption by a third, the scatter of Bricaud et al. 1995 (fig. 3).
     """
     return Parameter("phytoplankton_package", 1.0, 1.2, nuisance=True)
 
@@ -113,8 +113,8 @@ def water_unknowns(solar_zenith: float | None) -> tuple[Parameter, ...]:
     return (
         *constituents(),
         *shape_nuisances(),
-        # Refraction keeps the sun within 48 degrees under water: an unknown sun matters less than
-        # it seems; the spread also stands for the share of sky light.
+        # Refraction keeps the sun within 48 degrees under water, so that an unknown zenith angle
+        # matters little; the spread also covers an unknown share of sky light.
         Parameter(
             "solar_zenith",
             40.0 if solar_zenith is None else max(solar_zenith, 1.0),
@@ -123,7 +123,7 @@ def water_unknowns(solar_zenith: float | None) -> tuple[Parameter, ...]:
             "degree",
             True,
         ),
-        # What the closed form gets wrong in Kd.
+        # Relative error of the closed form in Kd.
         Parameter("kd_model_error", 0.0, 0.02, Identity(), "1", True),
     )
 

@@ -1,6 +1,6 @@
 """Photo fits: one with every nuisance, 1e5 pixels of unknown reflectance, 100 photographs at once.
 
-    python -m tests.benchmarks.bench_photos [charts | pixels | batch | lanes]
+    python -m tests.benchmarks.bench_photos [charts | pixels | batch | vmapped]
 
 Processor seconds of calls after the first (which compiles and is printed apart), best of three
 (of one in `batch`).
@@ -9,7 +9,7 @@ Processor seconds of calls after the first (which compiles and is printed apart)
   depth, robust loss.
 - `pixels`: 1e5 pixels at 1-6 m with open water, readings checked and summed up included.
 - `batch`: `fit_photos` of 100 such charts, each of its own water, against one.
-- `lanes`: residuals and their Jacobian of 32 photographs side by side, against one.
+- `vmapped`: residuals and their Jacobian of 32 photographs side by side, against one.
 
 A run is written down in photos.md.
 """
@@ -112,7 +112,7 @@ def batch(count: int = 100):
     print(f"{all_ / one:.1f} x; {done} converged")
 
 
-def lanes(count: int = 32, repeats: int = 30):
+def vmapped(count: int = 32, repeats: int = 30):
     """Print what a photograph's residuals and Jacobian cost alone and beside others."""
     many = drawn(count, response=oi.spectrum.camera_response("Nikon D850"))
     problems = [_problem([p], oi.TwoStream(), None, False, None, None, None)[1] for p in many]
@@ -131,7 +131,7 @@ def lanes(count: int = 32, repeats: int = 30):
     alone = spent(eqx.filter_jit(slope), problems[0])
     beside = spent(eqx.filter_jit(lambda p: jax.vmap(slope)(p)), stacked) / count
     print(
-        f"lanes: {1e3 * alone:.2f} ms alone, {1e3 * beside:.2f} ms beside {count - 1} others: ",
+        f"vmapped: {1e3 * alone:.2f} ms alone, {1e3 * beside:.2f} ms beside {count - 1} others: ",
         end="",
     )
     print(f"{beside / alone:.2f} x")
@@ -140,8 +140,8 @@ def lanes(count: int = 32, repeats: int = 30):
 def main():
     """Print what was asked for, all unless named."""
     jax.config.update("jax_enable_x64", True)
-    for name in sys.argv[1:] or ("charts", "pixels", "batch", "lanes"):
-        {"charts": charts, "pixels": pixels, "batch": batch, "lanes": lanes}[name]()
+    for name in sys.argv[1:] or ("charts", "pixels", "batch", "vmapped"):
+        {"charts": charts, "pixels": pixels, "batch": batch, "vmapped": vmapped}[name]()
 
 
 if __name__ == "__main__":

@@ -44,10 +44,11 @@ def test_milk_without_noise_returns_its_fat_and_protein():
     assert fit.identifiable["protein"]
     assert fit.metadata["misfit"] < 0.05
     np.testing.assert_allclose(fit.quantities["c"].value, milk_total(fit), rtol=1e-9)
-    # Protein leans on the assumed size of the micelles (15 %): at a given volume b goes as r^2-3.
-    leaning = fit.sensitivity["protein"]
-    assert max(leaning, key=lambda name: abs(leaning[name])) == "micelle_size"
-    assert -3 * 0.15 < leaning["micelle_size"] < -1.5 * 0.15
+    # Protein is sensitive to the assumed size of the micelles (15 %): b goes as r^2-3 at a given
+    # volume.
+    shifts = fit.sensitivity["protein"]
+    assert max(shifts, key=lambda name: abs(shifts[name])) == "micelle_size"
+    assert -3 * 0.15 < shifts["micelle_size"] < -1.5 * 0.15
 
 
 def test_a_fit_is_written_as_dataset_and_picture(tmp_path):

@@ -29,7 +29,7 @@ def decay_data(seed=0):
 
 
 def rosenbrock(x, offset):
-    """A curved valley with its end at (1, 1), and a residual that nothing can lower."""
+    """A curved, narrow minimum at (1, 1), and a residual that nothing can lower."""
     return jnp.stack([10.0 * (x[1] - x[0] ** 2), 1.0 - x[0], offset])
 
 
@@ -41,7 +41,7 @@ UNIT = jnp.ones(2)
 
 
 @pytest.mark.parametrize("scale", [(1.0, 1.0), (0.1, 10.0)])
-def test_a_curved_valley_is_followed_to_its_end(scale):
+def test_rosenbrocks_minimum_is_found(scale):
     found = FOLLOW(jnp.asarray([-1.2, 1.0]), 0.0, jnp.asarray(scale))
     np.testing.assert_allclose(found.x, 1.0, atol=1e-6)
     assert int(found.code) == Status.CONVERGED
@@ -67,7 +67,7 @@ def test_cross_check_by_another_library_agrees():
     np.testing.assert_allclose(other, found.x, atol=1e-4 * 0.02)
 
 
-def test_a_lane_that_fails_carries_a_code_and_spares_its_neighbours():
+def test_a_search_that_fails_returns_a_code_and_spares_the_rest_of_its_batch():
     data = jnp.stack([decay_data(0), jnp.full(len(TIME), jnp.nan), decay_data(2)])
     batch = jax.jit(jax.vmap(lambda d: least_squares(decay, START, d)))(data)
     ended = [Status.CONVERGED, Status.MODEL_NOT_FINITE, Status.CONVERGED]

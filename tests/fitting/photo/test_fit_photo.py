@@ -1,4 +1,4 @@
-"""Photographs: checks on the way in, fits that return the truth, what leans on what."""
+"""Photographs: checks on the way in, fits that return the truth, sensitivities."""
 
 import functools
 
@@ -361,7 +361,7 @@ def test_a_plan_expects_what_the_fit_of_its_readings_states():
     planned = design(photo(), truth, noise=0.01)
     for name in ("c_550", "Kd_490", "bb_550"):
         assert planned.quantities[name].sd == pytest.approx(fitted().quantities[name].sd, rel=0.02)
-    # A plan is linear; a fit follows what is badly seen through its valley.
+    # A plan is linear; a fit profiles over what is poorly determined.
     slope = jax.jit(jax.jacfwd(fitted().problem.residual))(jnp.asarray(fitted().x))
     i = planned.parameters.names.index("detritus")
     linear = np.sqrt(np.asarray(covariance(slope))[i, i])

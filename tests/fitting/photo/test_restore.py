@@ -94,7 +94,7 @@ def test_the_page_holds_all_and_needs_nothing(tmp_path):
     assert "not identifiable" in row.group()
     low, high = fit.quantities["c_550"].interval()
     assert f"{float(low):.3g} - {float(high):.3g}" in text
-    # What answers lean on that has no prior.
+    # Sensitivity to what has no prior.
     fixed = text.split("took something else for granted")[1]
     assert "backscatter_split" in fixed.split("</table>")[0]
 

@@ -287,7 +287,7 @@ def test_layers_that_cannot_be():
         fit_profile(profile, layers=20)
     with pytest.raises(ValueError, match="layers is 0; give 1 or more"):
         fit_profile(profile, layers=0)
-    with pytest.raises(ValueError, match="TwoStream knows one homogeneous water"):
+    with pytest.raises(ValueError, match="TwoStream models one homogeneous water"):
         fit_profile(profile, layers=2, transport=oi.TwoStream())
 
 

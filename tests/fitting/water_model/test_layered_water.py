@@ -60,7 +60,7 @@ def test_unknowns_of_layers_make_layers():
 
 def test_layers_that_cannot_be_fitted_are_sentences():
     cast = Profile(DEPTH, BANDS, np.exp(-0.1 * DEPTH)[:, None] * np.ones(len(BANDS)))
-    with pytest.raises(ValueError, match="TwoStream knows one homogeneous water"):
+    with pytest.raises(ValueError, match="TwoStream models one homogeneous water"):
         fit_profile(cast, transport=oi.TwoStream(), layers=2)
     with pytest.raises(ValueError, match="a tolerance chooses among models of one water"):
         fit_profile(cast, tolerance=0.1, layers=None)
@@ -174,7 +174,7 @@ def test_a_casts_posterior_can_be_drawn_from():
     )
     seen = clean * (1.0 + 0.03 * np.random.default_rng(0).standard_normal(clean.shape))
     cast = Profile(DEPTH[::4], BANDS, seen, sigma=0.03 * clean, solar_zenith=40.0)
-    # Where little is known the valley is long and takes thousands of draws.
+    # Where little is known the posterior is long, and takes thousands of draws.
     known = {n: Parameter(n, v, 0.1) for n, v in (("cdom", 0.1), ("detritus", 0.05))}
     fit = fit_profile(cast, transport=oi.TwoStream(), depth_range=(0.0, 15.0), priors=known)
     drawn = sample(fit, key=jax.random.key(1), sampler=NUTS(draws=400, warm=100, chains=4))
