@@ -32,7 +32,7 @@ def combined(fits: list[BandFit]) -> BandFit:
     A random-effects mean by band and unknown: weights are 1/(variance + variance between ways),
     the latter shared by the bands and found by the method of moments (DerSimonian & Laird 1986,
     Control. Clin. Trials 7:177).  Its degrees of freedom are those of the ways, not of the bands,
-    whose light fluctuates together.
+    whose light fluctuates together; those of the sum are Welch and Satterthwaite's.
     """
     if len(fits) == 1:
         return fits[0]
@@ -51,14 +51,21 @@ def combined(fits: list[BandFit]) -> BandFit:
     covariance = np.einsum("kwi,kwij,kwj->wij", share, spread, share)
     any_good = good.any(axis=0)
     first = fits[0]
-    dof = np.stack([f.dof for f in fits])
+    dof = np.sum(np.where(good, np.stack([f.dof for f in fits]), 0.0), axis=0)
+    # Welch and Satterthwaite: how well the variance of Kd is known, noise and ways apart.
+    noise = np.sum(np.where(good, (share**2 * np.where(good[..., None], variance, 0.0))[..., 1],
+                            0.0), axis=0)  # fmt: skip
+    ways = np.sum(np.where(good, share[..., 1] ** 2, 0.0), axis=0) * between[1]
+    number = np.maximum(good.sum(axis=0) - 1, 1)
+    known = noise**2 / np.maximum(dof, 1.0) + ways**2 / number
+    dof = (noise + ways) ** 2 / np.maximum(known, 1e-300)
     return BandFit(
         np.where(any_good[:, None], mean, first.x),
         np.where(any_good[:, None, None], covariance, first.covariance),
         _mean(np.stack([f.noise for f in fits]), good, first.noise),
-        np.where(any_good, np.sum(np.where(good, dof, 0.0), axis=0), first.dof),
+        np.where(any_good, dof, first.dof),
         _mean(np.stack([f.length for f in fits]), good, first.length),
-        np.any([f.used & g[:, None] for f, g in zip(fits, good, strict=True)], axis=0),
+        _used(fits, good),
         np.where(any_good, 0, np.max([f.code for f in fits], axis=0)).astype(first.code.dtype),
     )
 
@@ -72,6 +79,14 @@ def _between(x: np.ndarray, variance: np.ndarray) -> np.ndarray:
     expected = np.maximum((weight > 0).sum(axis=0) - 1, 0).sum(axis=0)
     scale = np.sum(sums - np.sum(weight**2, axis=0) / sums, axis=0)
     return np.maximum(apart - expected, 0.0) / np.maximum(scale, 1e-300)
+
+
+def _used(fits: list[BandFit], good: np.ndarray) -> np.ndarray:
+    """(wl, depth) the samples of all ways; a way that ended higher up was padded to fewer."""
+    used = np.zeros((len(good[0]), max(f.used.shape[1] for f in fits)), bool)
+    for fit, known in zip(fits, good, strict=True):
+        used[:, : fit.used.shape[1]] |= np.asarray(fit.used) & known[:, None]
+    return used
 
 
 def _mean(values: np.ndarray, good: np.ndarray, otherwise: np.ndarray) -> np.ndarray:
