@@ -11,7 +11,7 @@ from jaxtyping import Bool, Float
 
 from fitting.images.saturation import saturation_spike
 from fitting.images.stated_encoding import LINEAR, SRGB, Encoding, stated_encoding
-from oceaninv.foundation.image_file import read_image, read_numpy
+from oceaninv.foundation.image_file import read_image, read_numpy, silenced
 
 if TYPE_CHECKING:
     from fitting.observations.photo import Pixels
@@ -118,10 +118,11 @@ def read_photograph(path: str | Path, encoding: str | None = None) -> Photograph
             f"{path} is {values.shape[1]} x {values.shape[0]} pixels; at least 8 x 8 are needed."
         )
     relative = 0.0
+    unsaturated = values < top  # of the encoded values: a curve may end below 1
     if not curve.linear:
         values = curve.decode(values)
         relative, step = 0.05, 2.2 * step
-    mask = np.isfinite(values) & (values > 0) & (values < top) & usable[:, :, None]
+    mask = np.isfinite(values) & (values > 0) & unsaturated & usable[:, :, None]
     if not np.any(np.isfinite(values) & (values > 0)):
         raise ValueError(f"{path} is black: no pixel is above zero.")
     if not usable.any():
@@ -205,8 +206,9 @@ def _read_raw(path: Path) -> tuple[np.ndarray, float, dict[str, Any], np.ndarray
         import rawpy
     except ImportError:
         raise ValueError(f"{path}: raw files need rawpy: pip install 'oceaninv[raw]'.") from None
+    below: dict[float, int] = {}
     try:
-        with rawpy.imread(str(path)) as raw:
+        with silenced(), rawpy.imread(str(path)) as raw:
             if raw.sizes.width * raw.sizes.height > 4 * _MOST:  # read at half size
                 raise ValueError(
                     f"{path} has {raw.sizes.width} x {raw.sizes.height} pixels; at most "
@@ -222,7 +224,7 @@ def _read_raw(path: Path) -> tuple[np.ndarray, float, dict[str, Any], np.ndarray
             pattern = raw.raw_pattern
             if pattern is not None and pattern.shape == (2, 2) and raw.color_desc == b"RGBG":
                 tile = raw.raw_colors_visible[:2, :2]
-                values, usable = _binned(path, raw.raw_image_visible, tile, black, white)
+                values, usable, below = _binned(raw.raw_image_visible, tile, black, white)
             else:
                 values = raw.postprocess(
                     half_size=True,
@@ -236,6 +238,8 @@ def _read_raw(path: Path) -> tuple[np.ndarray, float, dict[str, Any], np.ndarray
                 )
                 values = values / 65535.0
                 usable = np.all(values < 1.0, axis=2)
+                if raw.raw_type == rawpy.RawType.Flat:
+                    usable &= ~_any_of_four(raw.raw_image_visible >= white, usable.shape)
     except (rawpy.LibRawError, OSError, MemoryError):
         raise ValueError(
             f"{path} cannot be read as a raw file: it is damaged, cut short, or of a format that "
@@ -243,17 +247,33 @@ def _read_raw(path: Path) -> tuple[np.ndarray, float, dict[str, Any], np.ndarray
         ) from None
     if values.ndim != 3 or values.shape[2] != 3:
         raise ValueError(f"{path} is no raw file of red, green and blue.")
+    if below:
+        named = ", ".join(f"{n} at {level:g}" for level, n in sorted(below.items()))
+        warnings.warn(
+            f"{path}: the sensor saturates below the stated white level of {white} counts; "
+            f"{named} are left out.",
+            stacklevel=3,
+        )
     from fitting.images._raw_exif import raw_exif
 
     return values, step, raw_exif(path), usable
 
 
+def _any_of_four(counts: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
+    """(row, column) of `shape`: whether any of two by two counts is true."""
+    blocks = counts[: 2 * shape[0], : 2 * shape[1]]
+    missing = [(0, 2 * n - have) for n, have in zip(shape, blocks.shape, strict=True)]
+    padded = np.pad(blocks, missing).reshape(shape[0], 2, shape[1], 2)
+    return np.asarray(padded.any(axis=(1, 3)))
+
+
 def _binned(
-    path: Path, counts: np.ndarray, tile: np.ndarray, black: Sequence[int], white: int
-) -> tuple[np.ndarray, np.ndarray]:
+    counts: np.ndarray, tile: np.ndarray, black: Sequence[int], white: int
+) -> tuple[np.ndarray, np.ndarray, dict[float, int]]:
     """Two by two counts as one pixel of shares of the white level, and which are not clipped.
 
-    `tile`: (2, 2) LibRaw's number of the colour of each count, 1 and 3 both green.
+    `tile`: (2, 2) LibRaw's number of the colour of each count, 1 and 3 both green.  The third
+    result is the number of counts that are clipped at each level below the white level.
     """
     rows, columns = counts.shape[0] // 2, counts.shape[1] // 2
     sums, number = np.zeros((rows, columns, 3)), np.zeros(3)
@@ -273,14 +293,7 @@ def _binned(
             usable &= ~clipped
             sums[:, :, colour % 3 if colour < 3 else 1] += share
             number[colour if colour < 3 else 1] += 1
-    if below:
-        named = ", ".join(f"{n} at {level:g}" for level, n in sorted(below.items()))
-        warnings.warn(
-            f"{path}: the sensor saturates below the stated white level of {white} counts; "
-            f"{named} are left out.",
-            stacklevel=4,
-        )
-    return sums / number, usable
+    return sums / number, usable, below
 
 
 def read_range(path: str | Path, shape: tuple[int, int]) -> Float[np.ndarray, "row column"]:

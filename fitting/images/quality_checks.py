@@ -182,14 +182,18 @@ def _colours(values: np.ndarray, expected: np.ndarray, patch: np.ndarray, name: 
 
 
 def of_picture(photo: "Photograph") -> list[QualityCheck]:
-    """Pixels at or below zero, clipping at full scale and below it, one check per channel; flash.
+    """One check per channel, of dark pixels and of clipping at full scale and below; flash.
 
-    Shares of pixels; see the module for the limits.
+    More than 5 % of the pixels at or below zero, more than 1 % at full scale and a saturation
+    spike (`fitting.images.saturation`) are problems.
     """
     checks = []
     for c, plane in zip("RGB", np.moveaxis(photo.values, 2, 0), strict=True):
-        zero, full = float(np.mean(~(plane > 0))), float(np.mean(plane >= 1))
+        known = plane[np.isfinite(plane)]
+        zero, full = float(np.mean(known <= 0)), float(np.mean(known >= 1))
         text = f"{c}: {100 * zero:.2f} % at or below zero, {100 * full:.2f} % at full scale"
+        if known.size < plane.size:
+            text += f", {100 * (1 - known.size / plane.size):.2f} % without a value and left out"
         if zero > _ZEROED:
             text += "; the channel was cut by the developer or is dark: lower its black level"
         if full > _FULL:

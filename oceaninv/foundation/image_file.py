@@ -61,7 +61,7 @@ def read_image(
 
     wish = oiio.ImageSpec()
     wish.attribute("oiio:UnassociatedAlpha", 1)
-    with _silenced():
+    with silenced():
         source = oiio.ImageInput.open(str(path), wish)
         if source is None:
             _forget_error(oiio)
@@ -116,8 +116,8 @@ _silence = threading.Lock()
 
 
 @contextlib.contextmanager
-def _silenced():
-    """Nothing on the standard error of the process: libpng and libtiff print into it by themselves.
+def silenced():
+    """Nothing on the standard error of the process: libpng, libtiff and LibRaw print into it.
 
     One thread at a time, or the second would keep the silence of the first.
     """

@@ -23,6 +23,7 @@ jax.config.update("jax_enable_x64", True)
 
 import jax.numpy as jnp  # noqa: E402
 import numpy as np  # noqa: E402
+from skimage.metrics import mean_squared_error  # noqa: E402
 
 import oceaninv as oi  # noqa: E402
 from oceaninv.transport.closed_form.kd import monzon2024  # noqa: E402
@@ -130,7 +131,7 @@ def run() -> str:
             results = [printed(one, rays), *(seen(one, rays, m) for m in models.values())]
             target = encode(truth, exposure)
             rms = [
-                float(np.sqrt(np.mean((encode(np.asarray(r) @ weights, exposure) - target) ** 2)))
+                mean_squared_error(target, encode(np.asarray(r) @ weights, exposure)) ** 0.5
                 for r in results
             ]
             columns.append(rms)

@@ -240,6 +240,17 @@ def test_sixteen_bits_are_read_by_the_curve_that_they_state(tmp_path, chunk, tru
     assert photo.relative == (0.0 if np.allclose(expected, IMAGE) else 0.05)
 
 
+def test_full_scale_is_judged_before_the_curve(tmp_path):
+    """The curve ends at 0.25 + 0.05; full scale is no measurement there either."""
+    image = IMAGE.copy()
+    image[3, 4] = 1.0
+    curve = struct.pack(">4sIHH4i", b"para", 0, 2, 0, 131072, 32768, 0, 3277)
+    path = with_chunks(write(tmp_path / "a.png", image, "uint16"), png_profile(curve))
+    photo = read_photograph(path)
+    np.testing.assert_allclose(photo.values, 0.25 * image**2 + 3277 / 65536, atol=2e-5)
+    np.testing.assert_array_equal(np.argwhere(~photo.mask.all(axis=2)), [[3, 4]])
+
+
 def test_a_tiff_is_read_by_its_profile(tmp_path):
     """As raw developers write them; the profile of a 16-bit TIFF is that of its tone curve."""
     import tifffile

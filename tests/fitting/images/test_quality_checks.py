@@ -137,6 +137,11 @@ def test_pictures_are_judged_channel_by_channel():
     (text,) = problems(of_picture(picture(dark)))
     assert text.startswith("R: 10.00 % at or below zero")
     assert "lower its black level" in text
+    # Outside of an EXR's data window nothing is known, and nothing is dark.
+    windowed = values.copy()
+    windowed[:40] = np.nan
+    assert problems(of_picture(picture(windowed))) == []
+    assert "50.00 % without a value" in of_picture(picture(windowed))[0].message
     full = values.copy()
     full[:2, :, 1] = 1.0
     assert "expose less" in problems(of_picture(picture(full)))[0]
