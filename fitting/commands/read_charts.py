@@ -14,8 +14,8 @@ def read_charts_command(
         list[str],
         typer.Option(
             help='One chart, as "A DGK18 4.65 x,y x,y x,y x,y": name, kind (ColorChecker24, DGK18 '
-            "or a csv), range in m (or map), corners from its own top left, clockwise; or the word "
-            '"find" instead of corners (ColorChecker24, largest first).'
+            'or a csv), range in m or "map", then the corners in pixels, clockwise from its top '
+            'left.  "find" instead of the corners takes the largest ColorChecker24 found.'
         ),
     ],
     output: Annotated[
@@ -29,22 +29,30 @@ def read_charts_command(
     zenith: Annotated[
         list[float] | None,
         typer.Option(
-            help="Line of sight, degrees, 90 (horizontal) if not given; once, or once a chart."
+            help="Zenith angle of the line of sight, degrees; 90 (horizontal) if not given.  Once "
+            "for all charts, or once for each."
         ),
     ] = None,
-    range_map: Annotated[Path | None, typer.Option(help="Range map of the photograph.")] = None,
+    range_map: Annotated[
+        Path | None,
+        typer.Option(help='Range map of the photograph, for charts whose range is "map".'),
+    ] = None,
     encoding: Annotated[
         str | None, typer.Option(help="linear or sRGB, for files that do not say.")
     ] = None,
     lamp: Annotated[
-        bool, typer.Option("--lamp", help="A lamp at the camera, no daylight, lit what is seen.")
+        bool,
+        typer.Option(
+            "--lamp", help="What is seen was lit by a lamp at the camera, not by daylight."
+        ),
     ] = False,
     camera: Annotated[
-        str | None, typer.Option(help="Camera by name, or generic; unless given, the file's.")
+        str | None,
+        typer.Option(help="Name of the camera, or generic; by default that of the file."),
     ] = None,
     overwrite: Overwrite = False,
 ) -> None:
-    """Read the patches of charts in a photograph: a csv for fit-photo, a picture of where."""
+    """Read the patches of charts in a photograph into a csv, and draw where they were read."""
     import numpy as np
 
     from fitting.images.chart_reading import overlay, read_chart, table_of

@@ -1,4 +1,4 @@
-"""What a raw file says about itself: the few EXIF tags that matter, from its TIFF directories."""
+"""EXIF tags of raw files, read from their TIFF directories."""
 
 import struct
 from pathlib import Path
@@ -21,8 +21,9 @@ _FORMATS = {1: "B", 2: "s", 3: "H", 4: "I", 5: "II"}
 def raw_exif(path: str | Path) -> dict[str, Any]:
     """Make, model, date, exposure time (s), f-number, ISO and flash word of a raw file.
 
-    Most raw formats are TIFF files (NEF, CR2, ARW, DNG, PEF, SRW, and ORF and RW2 but for their
-    magic number); of others, and of damaged directories, what cannot be read is left out.
+    Most raw formats are TIFF files: NEF, CR2, ARW, DNG, PEF and SRW; ORF and RW2 are, too, but for
+    their magic number.  Tags that are missing or damaged, and all tags of other formats, are left
+    out.
     """
     found: dict[str, Any] = {}
     with open(path, "rb") as file:

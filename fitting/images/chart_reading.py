@@ -50,13 +50,14 @@ class ChartReading:
 
     @property
     def kept(self) -> Bool[np.ndarray, " patch"]:
-        """(patch,) neither clipped nor of doubtful reflectance."""
+        """(patch,) not clipped, and of trusted reflectance."""
         return ~self.clipped & self.target.trusted
 
     def chart(self, distance: float, *, noise: float = 0.03, **rest: Any) -> "Chart":
-        """The kept patches as a `Chart` at `distance` (m); `rest` as there.
+        """The kept patches as a `Chart` at `distance` (m).
 
-        `noise`: relative scatter added to `sd` (caustics, unevenness; 3 % in the field).
+        `noise`: relative scatter added to `sd`, for caustics and uneven light; 3 % in the field.
+        `rest`: further arguments of `Chart`.  ValueError where no patch is kept.
         """
         from fitting.observations.photo import Chart
 
@@ -206,7 +207,10 @@ def overlay(
     *,
     overwrite: bool = False,
 ) -> None:
-    """Draw where the patches were read, numbered from 1; crossed out where not kept (PNG)."""
+    """Write a PNG that shows where each patch was read, numbered from 1.
+
+    Patches that are not kept are red and crossed out.
+    """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
     from matplotlib.patches import Polygon
@@ -239,7 +243,7 @@ def overlay(
 
 
 def display(values: np.ndarray) -> np.ndarray:
-    """(row, column, 3) linear values for the screen: the 99th percentile white, gamma 2.2."""
+    """(row, column, 3) linear values for display: the 99th percentile is white, gamma 2.2."""
     finite = np.nan_to_num(np.asarray(values, dtype=float))
     top = max(float(np.percentile(finite, 99)), 1e-12)
     return np.clip(finite / top, 0.0, 1.0) ** (1 / 2.2)
@@ -256,10 +260,10 @@ def table_of(
     """Readings as the csv that `fitting.images.photo_csv.read_photo` reads.
 
     `charts`: (name, kind, range in m, reading); `windows` of open water: (x0, y0, x1, y1, zenith);
-    `zenith`: of the lines of sight to the charts, degrees, one for all or one of each (10 degrees
-    change the veil before a chart by some 10 %);
-    `camera`: None takes that of the file, if its response is known; `lamp`: lit by a lamp at the
-    camera.  What the file says about exposure and flash is passed on.
+    `zenith`: angles of the lines of sight to the charts, degrees, one for all or one for each (10
+    degrees change the veil before a chart by some 10 %); `camera`: None takes the photograph's
+    camera if its response is known, else generic; `lamp`: whether a lamp at the camera lit all.
+    Exposure and flash of the photograph are written into the header.
     """
     facts = [f"# camera: {camera or photograph.camera or 'generic'}"]
     if photograph.exposure is not None:

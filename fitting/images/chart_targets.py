@@ -1,4 +1,4 @@
-"""Colour charts by name: where their patches lie and what they reflect."""
+"""Colour charts by name: positions and reflectances of their patches."""
 
 import dataclasses
 from pathlib import Path
@@ -19,9 +19,9 @@ class Target:
     """A colour chart.
 
     - `reflectance`: (patch, wl) at `fitting.photo.fit_photo.WAVELENGTH`.
-    - `centre`, `size`: (patch, 2) across and down, in units of the area that the patches fill.
-    - `neutral`: which patches are grey.
-    - `trusted`: which patches are as tabulated; the others are shown but not used.
+    - `centre`, `size`: (patch, 2) across and down, as shares of the area that the patches fill.
+    - `neutral`: (patch,) which are grey.
+    - `trusted`: (patch,) which have the tabulated reflectance; the others are shown, not used.
     """
 
     name: str
@@ -38,7 +38,7 @@ class Target:
 
 
 def target(name: str | Path) -> Target:
-    """A chart by name, or from a csv of one's own.
+    """A chart by name, or from a csv of your own.
 
     - "ColorChecker24": 4 rows of 6; reflectances of colour-science ("ISO 17321-1").
     - "DGK18": 6 greys above two lower rows of 6 colours; reflectances of table `DGK18`.  Its last
@@ -48,7 +48,8 @@ def target(name: str | Path) -> Target:
       patch, in reading order; header lines `# rows: 4` and `# columns: 6`.  Patches that vary by
       less than 5 % over 450-650 nm count as grey.
 
-    ValueError with the near names, or what is wrong with the file.
+    **Raises:** ValueError for an unknown name, with the most similar known ones, and for a csv that
+    cannot be read as a chart.
     """
     if str(name) == "ColorChecker24":
         spectra = oi.spectrum._colour().SDS_COLOURCHECKERS["ISO 17321-1"].values()

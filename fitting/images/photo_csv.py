@@ -1,4 +1,4 @@
-"""Measurements from files: plain csv with a header of `# key: value` lines."""
+"""Readings of charts and open water from csv files with a header of `# key: value` lines."""
 
 from pathlib import Path
 
@@ -34,7 +34,7 @@ def read_photo(
     response_shift: float = 0.0,
     pixels: Pixels | None = None,
 ) -> tuple[Photo, int]:
-    """Chart and background readings of one photograph, and how many rows were left out as clipped.
+    """Readings of charts and open water in one photograph, and the number of clipped rows left out.
 
     Columns: kind (chart or background), chart (name), reflectance (0-1, neutral), range (m),
     zenith (degrees of the line of sight), R, G, B (linear) and R_sd, G_sd, B_sd; optional

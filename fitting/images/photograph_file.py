@@ -1,4 +1,4 @@
-"""Photographs and range maps from files, and the patches of charts in them."""
+"""Photographs as linear camera values and range maps in metres, read from files."""
 
 import dataclasses
 import warnings
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 _RAW = {".nef", ".cr2", ".cr3", ".arw", ".dng", ".orf", ".raf", ".rw2", ".pef", ".srw"}
 _JPEG = {".jpg", ".jpeg"}
-# Largest picture read, pixels: beyond it 1.2 GB of memory are wanted.
+# Largest picture that is read, pixels; reading takes 50 bytes of memory for each.
 _MOST = 60_000_000
 # Share of a raw file's white level above which a spike of its counts is taken for saturation.
 _LEAST_SATURATION = 0.7
@@ -28,11 +28,13 @@ _LEAST_SATURATION = 0.7
 class Photograph:
     """A photograph as linear camera values.
 
-    - `values`: (row, column, 3), 1 at full scale; `mask`: where a value may be used (finite,
-      positive, below full scale).
-    - `step`: rounding of the file, as a standard deviation; `relative`: relative standard
-      deviation of one pixel (added by decoding a display curve, 0 otherwise).
-    - `exif`: what the file says about itself.
+    - `values`: (row, column, 3), 1 at full scale.
+    - `mask`: (row, column, 3), where a value may be used: finite, positive, below full scale.
+    - `step`: standard deviation of the rounding of the file's numbers, in units of `values`.
+    - `relative`: relative standard deviation of one pixel that comes from decoding a display
+      curve; 0 for linear files.
+    - `exif`: metadata by the names Make, Model, DateTime, ExposureTime (s), FNumber, ISO, Flash.
+    - `source`: path of the file.
     """
 
     values: Float[np.ndarray, "row column 3"]
@@ -44,7 +46,7 @@ class Photograph:
 
     @property
     def exposure(self) -> float | None:
-        """Time x ISO / f-number^2, relative to 1 s at ISO 100 and f/1; None if not recorded."""
+        """Time x ISO / f-number^2, relative to 1 s at ISO 100 and f/1; None if not stated."""
         needed = [self.exif.get(k) for k in ("ExposureTime", "ISO", "FNumber")]
         if any(not v for v in needed):
             return None
@@ -59,7 +61,7 @@ class Photograph:
 
     @property
     def camera(self) -> str | None:
-        """The camera's name in the table of responses, None if it is not stated or not there."""
+        """The camera's name in the table of responses; None if not stated or not in the table."""
         from oceaninv.foundation.spectrum import camera_names
 
         model = str(self.exif.get("Model", "")).casefold()
@@ -78,12 +80,13 @@ def read_photograph(path: str | Path, encoding: str | None = None) -> Photograph
     it states nothing, and refuses 8-bit files and JPEG, whose curve is seldom what they state.
     Decoding a curve adds 5 % to every pixel, for no camera follows such a curve exactly.
 
-    Raw files are the counts above black level as a share of the stated white level, two by two
-    pixels averaged to one, without demosaicing.  Pixels at the white level, or in a spike of the
-    histogram below it, are masked.  So are pixels that are transparent, and those of an EXR
-    outside its data window.
+    Values of raw files are the counts above the stated black level as shares of the stated white
+    level; two by two counts become one pixel, without demosaicing.  Pixels at the white level, or
+    in a spike of the histogram below it, are masked.  So are pixels that are transparent, and those
+    of an EXR outside its data window.
 
-    **Raises:** ValueError with a sentence for what cannot be read as three linear channels.
+    **Raises:** ValueError with a sentence for what cannot be read as three linear channels, and for
+    more than 60 megapixels (240 of a raw file) before they are decoded.
     **Warns:** UserWarning where the file contradicts `encoding`, for transparent pixels, and where
     a raw file is saturated below its stated white level.
     """
@@ -387,9 +390,10 @@ def _far_beyond_all_others(values: np.ndarray) -> np.ndarray:
 
 
 def pixels_of(photograph: Photograph, distance: Any, **rest: Any) -> "Pixels":
-    """All usable pixels of a photograph that have a range, as things of unknown reflectance.
+    """The usable pixels of a photograph that have a range, as surfaces of unknown reflectance.
 
-    `distance`: (row, column) metres, NaN where missing (`read_range`); `rest` as in `Pixels`.
+    `distance`: (row, column) metres, NaN where missing (`read_range`).  `rest`: further arguments
+    of `Pixels`.  ValueError where its shape is not that of the photograph.
     """
     from fitting.observations.photo import Pixels
 
