@@ -8,7 +8,7 @@ import oceaninv as oi
 from oceaninv.scene import _toml_section, scene_file_water
 from tests.paths import SCENES
 
-SCENES = sorted((SCENES).glob("*.toml"))
+FILES = sorted(SCENES.glob("*.toml"))
 TEXT = """
 title = "test"
 [bands]
@@ -47,7 +47,7 @@ def _load(tmp_path, *changes, text=TEXT, **options):
 
 
 @pytest.mark.parametrize(
-    "path", [p for p in SCENES if p.stem != "north_sea"], ids=lambda path: path.stem
+    "path", [p for p in FILES if p.stem != "north_sea"], ids=lambda path: path.stem
 )
 def test_every_scene_of_the_project(path):
     found = oi.load_scene(path, bands=4)
@@ -154,8 +154,7 @@ def test_media(tmp_path, keys):
 
 def test_reef_is_its_range_map():
     """The range map is what the camera of the height field sees, to half a millimetre."""
-    scenes = SCENES
-    reef, ranged = (oi.load_scene(scenes / f"{n}.toml", bands=2) for n in ("reef", "reef_range"))
+    reef, ranged = (oi.load_scene(SCENES / f"{n}.toml", bands=2) for n in ("reef", "reef_range"))
     some = slice(17, None, 97)
     rays, again = reef.camera.rays(), ranged.camera.rays()
     np.testing.assert_array_equal(rays.direction, again.direction)
