@@ -9,8 +9,8 @@ import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
-# Stands uncompressed in every file that oceaninv writes: as an attribute, a text chunk or a
-# comment.  Text files add a checksum, so that one that was edited counts as the user's own.
+# This text stands uncompressed in every file that oceaninv writes: as an attribute, a text chunk
+# or a comment.  Text files add a checksum, so that one that was edited counts as the user's own.
 MARK = "written by oceaninv"
 _CHECKSUM = re.compile(rf"({MARK}; checksum )([0-9a-f]{{16}})".encode())
 

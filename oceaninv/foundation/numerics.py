@@ -1,4 +1,4 @@
-"""Numbers that stay right at their removable singularities: exponential integrals, safe roots."""
+"""Functions accurate at their removable singularities: exponential integrals, safe roots."""
 
 import functools
 
@@ -146,7 +146,7 @@ def safe_sqrt(x: Float[Array, "..."]) -> Float[Array, "..."]:
 def safe_ratio(part: Float[Array, "..."], whole: Float[Array, "..."]) -> Float[Array, "..."]:
     """part/whole, 0 where the whole is 0 (or below the normal numbers of its dtype).
 
-    The derivative squares nothing: it is finite for whatever whole has a finite inverse.
+    The derivative contains no squares: it is finite wherever the inverse of the whole is.
     """
     present = whole > 16.0 * float(jnp.finfo(whole.dtype).tiny)
     scale = jax.lax.stop_gradient(1.0 / jnp.where(present, whole, 1.0))

@@ -193,8 +193,8 @@ def _product(values: Array, matrix: np.ndarray) -> Array:
 
 @functools.lru_cache(maxsize=256)
 def hat_overlap(response_nm: tuple[float, ...], bands_nm: tuple[float, ...]) -> np.ndarray:
-    """Integrals of each sample's hat function times each band's, (sample, wl), nm; not to be
-    written to, for it is remembered."""
+    """Integrals of each sample's hat function times each band's, (sample, wl), nm.  The array is
+    cached: do not write to it."""
     samples, wavelength = np.array(response_nm), np.array(bands_nm)
     edges = band_edges(wavelength)
     knots = np.unique(np.concatenate([samples, wavelength, edges[[0, -1]]]))
@@ -305,7 +305,7 @@ def daylight_table() -> tuple[Float[np.ndarray, " wl"], Float[np.ndarray, " wl"]
 
 
 def to_srgb(xyz: ArrayLike) -> Float[np.ndarray, "*image 3"]:
-    """sRGB for looking at: XYZ (..., 3) with Y = 1 for white, encoded and clipped to 0-1.
+    """sRGB for display: XYZ (..., 3) with Y = 1 for white, encoded and clipped to 0-1.
 
     The white of sRGB is D65, so nothing is adapted. Concrete numbers only; not differentiable.
 

@@ -1,8 +1,8 @@
 """Media made of particles in a host, after Frisvad, Christensen & Jensen (2007), section 4.
 
-A `Medium` names its substances and what share of the volume each fills; at given wavelengths it
-becomes bulk coefficients, an effective index, or the `IOPs` that every transport accepts.  The
-printed numbers are kept where they are right (ERRATA.md lists where they are not).
+A `Medium` names its substances and the share of the volume that each fills; at given wavelengths
+it gives bulk coefficients, an effective index, or the `IOPs` that every transport accepts.  The
+printed numbers are used where they are right (ERRATA.md lists the exceptions).
 """
 
 import itertools
@@ -128,7 +128,7 @@ class Medium(eqx.Module):
 
 
 def _some(inclusion: Inclusion) -> Inclusion:
-    """The inclusion, or a trace of it where there is none: its phase function is the same."""
+    """The inclusion, or a trace of it if it has no volume: the phase function is the same."""
     fraction = inclusion.volume_fraction
     if is_traced(fraction) or float(np.asarray(fraction)) > 0:
         return inclusion

@@ -74,7 +74,7 @@ def absorption_from_index(
 
 
 class Bulk(NamedTuple):
-    """What a population, or a medium, does to light.
+    """Bulk optical properties of a population or a medium.
 
     For a population in an absorbing host a is relative to the host it displaces and may be
     negative.  The errors are of the quadrature over radii: the change of a and b when every
@@ -136,8 +136,8 @@ class Population(eqx.Module):
     def bulk(self, wavelength: Wavelengths, host_index: Num[ArrayLike, "..."]) -> Bulk:
         """Bulk coefficients (eqs 27, 28, 31, 33) at concrete wavelengths (nm) in a host.
 
-        host_index: n + ik, a number or one per wavelength.  Where it is traced, |host_index| <= 2
-        is taken for granted.
+        host_index: n + ik, a number or one per wavelength.  If it is traced, |host_index| <= 2
+        is assumed.
         """
         wavelength = check_wavelength(wavelength)
         _, weight, arguments, max_size = self._spheres(wavelength, host_index)

@@ -27,7 +27,7 @@ _PIECE = 2**14
 
 @dataclasses.dataclass(frozen=True)
 class Picture:
-    """A scene as drawn.
+    """The picture of a scene.
 
     `radiance`, `veil`: spectral radiance (row, column, wl) in all, and of the water alone;
     `range`: metres to the object, floor or surface, 0 where there is none; `stderr`: largest
@@ -104,7 +104,7 @@ def draw(
         worst = max(worst, float(np.max(np.asarray(estimate.stderr))) / mean)
         far.append(np.asarray(distance))
         if veil:
-            # Just short of what ends the ray, so that only the water is left.
+            # Just short of the end of the ray, so that only the light of the water is counted.
             length = jnp.where(jnp.isfinite(distance), distance * (1 - 1e-5), 1e9)
             short = Rays(lines.origin, lines.direction, length)
             water.append(np.asarray(_piece(scene, short, transport, key).value))
@@ -130,8 +130,8 @@ def channels(found: SceneFile, radiance: np.ndarray) -> np.ndarray:
 
 
 def display_matrix(response: spectrum.Response) -> np.ndarray:
-    """Matrix from channels to XYZ: exact for the standard observer, else the one that serves the
-    patches of a ColorChecker in daylight best."""
+    """Matrix from channels to XYZ: exact for the standard observer, otherwise the best fit to the
+    patches of a ColorChecker in daylight."""
     if response.channels == ("X", "Y", "Z"):
         return np.eye(3)
     grid = np.arange(400.0, 701.0, 10.0)
@@ -146,7 +146,7 @@ def display_matrix(response: spectrum.Response) -> np.ndarray:
 
 
 def to_display(found: SceneFile, values: np.ndarray) -> np.ndarray:
-    """sRGB in [0, 1] for looking at, from linear channel values.
+    """sRGB in [0, 1] for display, from linear channel values.
 
     The file's exposure, or one that brings the 99th percentile of the brightest primary to 0.85.
     Cameras of other than three channels show their first as grey.
@@ -195,7 +195,7 @@ def _predicted(found: SceneFile, transport) -> dict:
 
 
 def metadata(path: Path, found: SceneFile, transport, seed: int, picture: Picture) -> str:
-    """What made a picture, as JSON."""
+    """How a picture was made, as JSON."""
     names = ("oceaninv", "jax")
     versions = {}
     for name in names:

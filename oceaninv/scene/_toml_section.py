@@ -30,7 +30,7 @@ class Section:
         self._asked: list[str] = []
 
     def error(self, key: str, came: Any, wanted: str) -> ValueError:
-        """The sentence: file, key, what came, what was wanted."""
+        """An error that states the file, the key, the value and what is allowed."""
         where = f"{self.name}.{key}" if self.name else key
         return ValueError(f"{self.path}: {where} is {came!r}; it must be {wanted}.")
 

@@ -12,7 +12,7 @@ from oceaninv.water.iops import check_concrete
 
 
 class AbstractSky(eqx.Module):
-    """How a sky's radiance depends on zenith angle, the same at all wavelengths and azimuths."""
+    """The radiance of a sky against zenith angle, the same for all wavelengths and azimuths."""
 
     @abc.abstractmethod
     def shape(self, cosine: Float[Array, " ray"]) -> Float[Array, " ray"]:

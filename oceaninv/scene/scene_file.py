@@ -23,7 +23,7 @@ _NO_LIMIT = 1e30
 
 @dataclasses.dataclass(frozen=True)
 class SceneFile:
-    """What a scene file describes.
+    """The contents of a scene file.
 
     `scene`, `camera`, `sensor`: as their classes say.  `kd`: (wl,) the measured Kd of a water that
     was given by one, for `KdTransport(kd)`; `None` otherwise.  `title`: text.  `fine_light`: the

@@ -31,7 +31,7 @@ _NO_LIMIT = 1e30
 
 
 def read_water(table: Section, wavelength: np.ndarray) -> tuple[IOPs | Layers, np.ndarray | None]:
-    """The water of a section, and its measured Kd where that is what was given."""
+    """The water of a section, and the measured Kd if the section gives one."""
     if not table.has("layers"):
         return _homogeneous(table, wavelength)
     layers = table.sections("layers")

@@ -1,4 +1,4 @@
-"""Waves on the surface, for the pattern of light that they cast: caustics."""
+"""Waves on the surface, and the pattern of light that they focus: caustics."""
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -128,9 +128,9 @@ def caustics(
     water; `depth`: of the plane, m.
 
     **Returns:** (y, x) over one tile.  Each of many equal parcels of sunlight is refracted where
-    it meets the sloping surface and laid down where it meets the plane; the sun's disc blurs the
-    pattern.  What is lost by reflection is that of a flat surface, so that the mean is 1, exactly:
-    waves move light about, they do not make it.  Waves are taken as low: light starts at depth 0.
+    it meets the sloping surface and deposited where it meets the plane; the sun's disc blurs the
+    pattern.  The loss by reflection is that of a flat surface, so that the mean is exactly 1.  The
+    waves are assumed to be low: light starts at depth 0.
     """
     fine = _RAYS * size
     x_slope, y_slope = waves.slopes(fine)
@@ -162,8 +162,8 @@ def caustics(
 
 
 def _laid_down(x, y, power, size: int) -> Float[Array, "size size"]:
-    """Parcels at fractional pixels, each shared out to the nine around it by quadratic splines:
-    with less, rows of parcels and of pixels beat."""
+    """Parcels at fractional pixels, each distributed over the nine pixels around it by quadratic
+    splines; narrower kernels give moire between rows of parcels and of pixels."""
     total = jnp.zeros((size, size), power.dtype)
     left, top = jnp.round(x), jnp.round(y)
     columns, rows = _spline(x - left), _spline(y - top)

@@ -1,7 +1,7 @@
-"""Apparent optical properties of a light field: attenuation of every definition, reflectances.
+"""Apparent optical properties of a light field: diffuse attenuation and reflectances.
 
-Each function says which Kd it returns: just below the surface, in the mean over a depth and deep
-down they differ by up to a third.
+Each function states which Kd it returns: the values just below the surface, in the mean over a
+depth range and deep down differ by up to a third.
 """
 
 import equinox as eqx
@@ -90,7 +90,7 @@ def _to_light(scene: Scene, share: float, transport: PlaneParallel):
         deepest = scene.floor.depth.astype(dtype)
 
     def logarithm(z):
-        """ln of Ed at z, each wavelength's own, over Ed at the surface, and its slope."""
+        """ln of Ed at depth z (one per wavelength) over Ed at the surface, and its slope."""
         depths = jnp.concatenate([jnp.zeros_like(z[:1]), z])
         fluxes, slopes = transport.fluxes_and_slopes(scene, depths)
         light = jnp.diagonal(fluxes.Ed[1:])

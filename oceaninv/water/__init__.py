@@ -1,4 +1,4 @@
-"""What light meets in water: pure water, constituents, phase functions, inelastic scattering."""
+"""The optics of water: pure water, constituents, phase functions, inelastic scattering."""
 
 # fmt: off
 # isort: off

@@ -23,7 +23,7 @@ _T, _W = gauss_legendre(5, 0.0, 1.0)
 
 
 def _space(x) -> Any:
-    """The namespace that answers for x: numbers need no program to be compiled."""
+    """numpy for numbers, jax.numpy for JAX arrays: numbers need no compiled program."""
     return jnp if isinstance(x, jax.Array) else np
 
 
@@ -58,7 +58,7 @@ def _mean_exponential(y):
 def ff_density(u, inner: float, log_d, s):
     """(4 pi p at u, fraction F scattered inside u = inner); D = e^log_d."""
     xp = _space(u)
-    # The three scalar values of phi in one go: it halves what there is to compile.
+    # The three scalar values of phi together, which halves the program to compile.
     edge = log_d + math.log(inner)
     phi, _ = ff_phi(xp.stack([log_d, edge, edge]), xp.stack([s, s, 1 - s]))
     back, at_edge, complement = phi
@@ -100,7 +100,7 @@ def slope_from_backscatter(ratio):
 
 
 def concrete_slope(ratio) -> float:
-    """`slope_from_backscatter` of a number, without a program to compile."""
+    """`slope_from_backscatter` of a number, without compiling."""
     low, high, ratio = 3.0, 5.0, float(ratio)
     for _ in range(60):
         middle = (low + high) / 2
@@ -111,7 +111,7 @@ def concrete_slope(ratio) -> float:
 
 
 def concrete_moments(half, weights, index, slope, order: int) -> np.ndarray:
-    """Moments 0 ... order of the function of numbers, likewise."""
+    """Moments 0 ... order for numbers, without compiling."""
     log_d, s = math.log(4 / 3) - 2 * math.log(float(index) - 1), (float(slope) - 3) / 2
     smallest = math.sin(SMALLEST_ANGLE / 2) ** 2
     with np.errstate(all="ignore"):

@@ -33,9 +33,10 @@ def kd_kirk1984(
 ) -> Float[Array, " wl"]:
     """Mean Kd from the surface to the 1 % level, 1/m: sqrt(a^2 + (0.425 mu0 - 0.19) a b)/mu0.
 
-    Kirk, 1984, Limnology and Oceanography 29:350.  Knows b, not bb: made for Petzold's harbour
-    particles and within 6 % of the exact value at bb/b = 0.018, but 31 % high at bb/b = 0.005 and
-    albedo 0.9.  At a = 0 the value is 0 and the derivative, truly infinite, is returned as 0.
+    Kirk, 1984, Limnology and Oceanography 29:350.  It depends on b, not on bb.  Made for
+    Petzold's harbour particles, it is within 6 % of the exact value at bb/b = 0.018, but 31 % high
+    at bb/b = 0.005 and albedo 0.9.  At a = 0 the value is 0 and the derivative, truly infinite, is
+    returned as 0.
     """
     mu0 = jnp.asarray(mu0, a.dtype)
     return safe_sqrt(a * (a + (0.425 * mu0 - 0.19) * b)) / mu0

@@ -1,13 +1,13 @@
 """Light that changes its wavelength: Raman scattering, fluorescence of chlorophyll and of CDOM.
 
 An inelastic term takes light out of an excitation band and emits some of it, isotropically or
-nearly so, in emission bands.  All is written for energy: `shares` tells which part of the energy
-taken from one band is emitted in another, as a mean over both bands, never a point sample, and
-what is emitted beyond the grid is counted, never put back.  Bands are those of
+nearly so, in emission bands.  Everything is written for energy: `shares` gives the part of the
+energy taken from one band that is emitted in another, as a mean over both bands, not a point
+sample.  Energy emitted beyond the grid is counted, but not returned.  Bands are those of
 `spectrum.band_edges`.
 
-What these processes take out of the light is part of the measured absorption: the coefficients
-here are not to be added to a or b.  Raman scattering towards shorter waves is left out: at 20
+The light that these processes take is part of the measured absorption: do not add the
+coefficients here to a or b.  Raman scattering towards shorter waves is left out: at 20
 degrees C it is 6e-8 of that towards longer ones.
 """
 
@@ -33,7 +33,7 @@ _PIECE, _NODES = 4.0, 6  # nm and nodes of each piece of a quadrature
 class Shares(eqx.Module):
     """Where the energy (or the photons) taken from each excitation band is emitted.
 
-    - `inside`: (wl, wl) share of what excitation band i gives that is emitted in band j.
+    - `inside`: (wl, wl) share of the energy from excitation band i that is emitted in band j.
     - `outside`: (wl,) share that is emitted beyond the grid.
 
     Each row of `inside` and its `outside` add up to the yield of the process in that band.
@@ -90,7 +90,7 @@ class Raman(AbstractInelastic):
         return self.coefficient_at_488.astype(shape.dtype) * shape
 
     def shares(self, wavelength: tables.Wavelengths, photons: bool = False) -> Shares:
-        """See `AbstractInelastic.shares`; of energy only, which is what its form conserves."""
+        """See `AbstractInelastic.shares`; of energy only, which its form conserves."""
         if photons:
             raise ValueError("Raman scattering is defined for energy: use photons=False.")
         return _raman_shares(tuple(tables.check_wavelength(wavelength).tolist()), self.exponent)
@@ -171,7 +171,7 @@ class Inelastic(eqx.Module):
     with an absorber "chlorophyll" or "phytoplankton"; `cdom`: `CDOMFluorescence`, which needs an
     absorber "cdom".
 
-    Only light on the scene's own wavelengths excites, and nothing is put in for the rest: begin
+    Only light at the scene's own wavelengths excites; light at other wavelengths is missing.  Begin
     them at 310 nm for CDOM, 370 nm for chlorophyll (see `Phytoplankton(extension=...)`) and, for
     Raman, at 1/(1/wl + 3.7e-4/nm) of the shortest emission wl that matters (340 nm for 390 nm).
     On 10 nm bands from 400 nm on, daylight excites no Raman emission below 450 nm, .1 of that at
@@ -192,7 +192,7 @@ class Inelastic(eqx.Module):
 def sources(
     inelastic: Inelastic, iops: IOPs
 ) -> tuple[tuple[Float[Array, "excitation wl"], AbstractPhase], ...]:
-    """What each process emits per scalar irradiance: (matrix in 1/m, phase function) of each.
+    """Emission of each process per scalar irradiance: (matrix in 1/m, phase function) of each.
 
     E0 (W m-2 nm-1, by excitation band) @ matrix is the power emitted per volume, W m-3 nm-1, by
     emission band; the widths of the bands are in the matrix.  Divided by 4 pi (or times the phase
@@ -304,7 +304,7 @@ def _quadrature(edges, knots) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _chlorophyll(w, v):
-    """A Gaussian about 685 nm, whatever excites it."""
+    """A Gaussian about 685 nm, independent of the excitation."""
     return np.exp(-(((v - 685.0) / 10.6) ** 2) / 2) / (10.6 * np.sqrt(2 * np.pi)) + 0 * w
 
 

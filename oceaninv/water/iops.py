@@ -1,4 +1,4 @@
-"""Inherent optical properties: what water does to light, independent of the light."""
+"""Inherent optical properties of water, which do not depend on the light field."""
 
 import equinox as eqx
 import jax.core
@@ -55,7 +55,7 @@ class IOPs(eqx.Module):
         wavelength = check_wavelength(wavelength)
         phases = (phases,) if isinstance(phases, AbstractPhase) else tuple(phases)
         a, b = jnp.asarray(a_components), jnp.asarray(b_components)
-        # atleast_2d would be compiled for every shape, also where it has nothing to do.
+        # atleast_2d would compile for every shape, even where it changes nothing.
         a, b = (v if v.ndim == 2 else jnp.atleast_2d(v) for v in (a, b))
         for name, value in (("a_components", a), ("b_components", b)):
             if value.ndim != 2 or value.shape[1] != len(wavelength):
@@ -124,7 +124,7 @@ class IOPs(eqx.Module):
         return shapes @ self.b_components
 
     def __add__(self, other: "IOPs") -> "IOPs":
-        """The water that holds the components of both."""
+        """A water with the components of both."""
         if self.grid != other.grid:
             raise ValueError("only IOPs on the same wavelengths can be added.")
         return IOPs(

@@ -1,4 +1,4 @@
-"""Waters as participating media of the renderer Mitsuba 3, to carry away."""
+"""Export of waters as participating media of the renderer Mitsuba 3."""
 
 import jax.core
 import jax.numpy as jnp
@@ -82,7 +82,7 @@ def _spectrum(wavelength: np.ndarray, values: np.ndarray) -> dict:
 
 
 def _element(tag: str, node: dict, extra: str, depth: int) -> list[str]:
-    """A plugin and what is in it, as lines of XML."""
+    """A plugin and its contents as lines of XML."""
     space = "  " * depth
     lines = [f'{space}<{tag} type="{node["type"]}"{extra}>']
     for key, value in node.items():

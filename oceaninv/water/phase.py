@@ -1,4 +1,4 @@
-"""Scattering phase functions: how light that is scattered once spreads over directions.
+"""Scattering phase functions: the angular distribution of light scattered once.
 
 Everywhere: 1/sr, integral over all 4 pi directions 1, cos_theta = +1 forward.  The Legendre moments
 are chi_l = 2 pi * integral of p P_l d(cos_theta): chi_0 = 1, p = sum (2l+1) chi_l P_l / (4 pi).
@@ -210,7 +210,7 @@ class FournierForand(AbstractPhase):
             self.slope = _parameter("slope", slope, 3, 5)
         else:
             raise ValueError(
-                "FournierForand wants either backscatter_ratio alone or both index and slope; got "
+                "FournierForand takes either backscatter_ratio alone or both index and slope; got "
                 f"backscatter_ratio={backscatter_ratio}, index={index}, slope={slope}."
             )
 
@@ -395,7 +395,7 @@ class Mixture(AbstractPhase):
         """Raises ValueError unless there is one weight per phase, all >= 0 and one > 0."""
         weights = jnp.asarray(weights)
         if len(phases) != weights.shape[0]:
-            raise ValueError(f"one weight per phase wanted; got {len(weights)} for {len(phases)}.")
+            raise ValueError(f"give one weight per phase; got {len(weights)} for {len(phases)}.")
         if _concrete(weights) and not (bool(jnp.all(weights >= 0)) and float(weights.sum()) > 0):
             raise ValueError(f"weights must be >= 0 with a positive sum; got {weights}.")
         self.weights = weights / weights.sum()
@@ -421,8 +421,8 @@ class Mixture(AbstractPhase):
 
 
 def moments_of(phase: AbstractPhase, order: int) -> Float[Array, " moment"]:
-    """`phase.moments(order)`; a constant of the program, not a part of it, when nothing in the
-    phase function is traced (its quadrature would dominate the compilation of what uses it)."""
+    """`phase.moments(order)`.  If nothing in the phase function is traced, it is a constant of the
+    program, since compiling its quadrature would take longer than all the rest."""
     if not all(map(_concrete, jax.tree.leaves(phase))):
         return phase.moments(order)
     with jax.ensure_compile_time_eval():
@@ -430,7 +430,7 @@ def moments_of(phase: AbstractPhase, order: int) -> Float[Array, " moment"]:
 
 
 def backscatter_ratio_of(phase: AbstractPhase) -> Float[Array, ""]:
-    """`phase.backscatter_ratio`, a constant of the program when nothing in it is traced."""
+    """`phase.backscatter_ratio`, a constant of the program if nothing in it is traced."""
     if not all(map(_concrete, jax.tree.leaves(phase))):
         return phase.backscatter_ratio
     with jax.ensure_compile_time_eval():

@@ -37,10 +37,10 @@ def absorption(
     - `salinity`: practical, 0 to 40. None: the table's own (fresh water).
 
     The first two tables have slopes with temperature and salinity (linear, from 22 and 20 degC
-    and from fresh water). Pope & Fry measured fresh water at 22 degC and gave none, so that
-    nothing else will do. Smith & Baker summarise natural waters, fresh and salt, and state no
-    condition: theirs is the same at all. IOCCG 2018 gives no salinity slope below 400 nm: there
-    it needs `salinity=0`.
+    and from fresh water). Pope & Fry measured fresh water at 22 degC and gave no slopes, so
+    that no other condition is accepted. Smith & Baker summarise natural waters, fresh and salt, and
+    state no condition: their table serves all. IOCCG 2018 gives no salinity slope below 400 nm:
+    there it needs `salinity=0`.
 
     **Raises:** `ValueError` for an unknown source, a wavelength outside the table, a condition
     out of range or one that the table cannot be taken to.
@@ -93,8 +93,8 @@ def scattering(
     **Raises:** `ValueError` for an unknown source or anything out of range.
 
     Sources: Zhang, Hu & He 2009, Optics Express 17:5698, doi:10.1364/OE.17.005698; Morel 1974,
-    in Optical Aspects of Oceanography. Half of it goes backwards: the phase function of
-    `phase_constant` is even in the cosine.
+    in Optical Aspects of Oceanography. Half of the light is scattered backwards: the phase
+    function of `phase_constant` is even in the cosine.
 
     >>> float(scattering([500.0])[0].round(7))
     0.0025473
@@ -134,7 +134,7 @@ def phase_constant(source: str = "Zhang2009") -> float:
 
 
 def _refuse_other_condition(source: str, **asked: float | int | None) -> None:
-    """Error when a table without slopes is asked for a condition that is not its own."""
+    """ValueError for a condition that differs from that of a table without slopes."""
     for name, own in _FIXED[source].items():
         value = asked[name]
         if value is not None and value != own:

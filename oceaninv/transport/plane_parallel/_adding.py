@@ -1,4 +1,4 @@
-"""Layers joined with what bounds them (the adding method), and the light between them."""
+"""The adding method: layers joined with floor and surface, and the light between them."""
 
 from typing import NamedTuple
 
@@ -10,7 +10,7 @@ from oceaninv.transport.plane_parallel import _layer_modes
 
 
 class Joined(NamedTuple):
-    """Layers joined with what bounds them; what light does there, whatever its sources."""
+    """Layers joined with floor and surface: the operators that do not depend on sources."""
 
     reflect: Array | None  # (layer - 1, n, n) of the upper layers, top first; so the next ones
     transmit: Array | None
@@ -44,7 +44,7 @@ def join(
 
         def add(below, slab):
             between = _layer_modes.inverse_of(one - slab.reflect @ below, False)
-            # A homogeneous layer is the same seen from either side: so it transmits upwards.
+            # A homogeneous layer is symmetric, so that it transmits equally upwards.
             whole = slab.reflect + slab.transmit @ below @ between @ slab.transmit
             return whole, (below, between)
 
@@ -62,7 +62,7 @@ def fill(
     returned: Float[Array, "n"] | None,
     sky: Float[Array, "n"],
 ) -> _layer_modes.Field:
-    """The field of given sources: what layers send up and down, the floor up, the sky down."""
+    """The field of given sources: those of layers up and down, of the floor up, of the sky down."""
     lowest, floor = joined.lowest, joined.floor
 
     def landed(down):
@@ -122,7 +122,7 @@ def add_layers(
     surface: Float[Array, "n"] | None,
     sky: Float[Array, "n"] | None,
 ) -> _layer_modes.Field:
-    """Join layers with what bounds them, upwards, then fill in downwards; see `join`.  `sky`
+    """Join layers, floor and surface upwards, then compute the light downwards; see `join`.  `sky`
     enters through the surface."""
     joined = join(slabs, bottom, floor, surface)
     up, down = bottom.up[None], bottom.down[None]

@@ -69,7 +69,7 @@ def _solve_jvp(endless, primals, tangents):
     dup, ddown = jax.vmap(missing)((stack, own, sent, field), some)
 
     def at_bounds(bounds):
-        """What floor and surface send on of the known field."""
+        """The light that floor and surface reflect of the known field."""
         floor, surface, sky = bounds
         returned = None
         if floor is not None:
@@ -88,8 +88,8 @@ solve.defjvp(_solve_jvp, symbolic_zeros=True)
 
 
 def _missing(known, tangents, endless):
-    """Change of what one layer sends up and down, for a change of the layer under light that
-    stays as it is.
+    """Change of the light that one layer sends up and down, for a change of the layer under
+    constant incident light.
 
     dR = K1 dZ K1 - K2 dY K2 and dT = K1 (dX K2 - dZ T) - T dY K2 with T = K1 X K2.
     """

@@ -8,7 +8,7 @@ is symmetric.  With S = down + up and D = down - up at optical depth t,
 
 A_l the Legendre functions times sqrt(w) (see `Basis`), M = diag(mu).  With S_o = L L' and
 B = L' S_e L = V diag(k^2) V', u = L^-1 S and v = L' D obey u'' = B u + ..., v'' = B v + ....
-All that is needed of a layer are functions of B that are regular at k = 0 and at k = nu.
+A layer enters only through functions of B that are regular at k = 0 and at k = nu.
 """
 
 import functools
@@ -46,7 +46,8 @@ class Modes(NamedTuple):
 
 
 class Slab(NamedTuple):
-    """What a layer does to light: y_out = reflect y_in + transmit y_in' + source."""
+    """A layer's reflection, transmission and source:
+    y_out = reflect y_in + transmit y_in' + source."""
 
     reflect: Array  # (n, n)
     transmit: Array  # (n, n)
@@ -99,7 +100,7 @@ def _modes_in_full(mean, operators, directions):
     even_basis, odd_basis, across, root_mu = jax.lax.stop_gradient(directions)
     one = jnp.eye(root_mu.shape[0], dtype=root_mu.dtype)
     even = one - (even_basis * even_gain[None, :]) @ even_basis.T
-    # What is not scattered, exact: in this element lies the whole difference that a makes.
+    # The share not scattered, exact: only this element depends on absorption.
     even = even.at[0, 0].set(jnp.where(mean == 1, lost, even[0, 0]))
     root, inverse_root = _small_matrix_factorisations.square_root(
         one - (odd_basis * odd_gain[None, :]) @ odd_basis.T
@@ -186,7 +187,7 @@ def _inverse_jvp(positive, primals, tangents):
 
 
 class Operators(NamedTuple):
-    """What a layer does to light, and what is made on the way, each (n, n)."""
+    """Reflection and transmission of a layer, and intermediate results, each (n, n)."""
 
     k1: Array
     k2: Array
@@ -220,8 +221,8 @@ def operators(modes: Modes, apply: Callable, endless: bool) -> Operators:
 
 
 class Sent(NamedTuple):
-    """What the source of a layer sends out: at its top and bottom; half the sum and half the
-    difference of both."""
+    """The light that the source of a layer sends out at its top and bottom; half the sum and half
+    the difference of both."""
 
     up: Array
     down: Array
@@ -230,13 +231,15 @@ class Sent(NamedTuple):
 
 
 def leaving(layer: Layer, modes: Modes, beam: Beam, own: Operators, response) -> Sent:
-    """What the source of a layer sends out; `response`: `_matrix_functions.forced` times it."""
+    """The light that the source of a layer sends out; `response`: `_matrix_functions.forced` of
+    the source."""
     even, odd, arriving = sources(layer, modes, beam, response)
     even, odd = own.k2 @ even, own.k1 @ odd
     up = even - odd
     if arriving is None:
         return Sent(up, jnp.zeros_like(up), even, odd)
-    # Their sum loses what a thick layer lets through; solve the lower boundary for it instead:
+    # Their sum loses the light transmitted by a thick layer to rounding; solve the lower boundary
+    # for it instead:
     # (1 + L'^-1 k coth(k t) L^-1) down = L'^-1 (q_o e^(-nu t) + ... + k/sinh(k t) L^-1 up).
     return Sent(up, own.k3 @ (arriving + own.csch @ up), even, odd)
 
@@ -276,8 +279,9 @@ def inside(
     values are known (`field` without its leading axis).
 
     u and v obey the same equation, so both are interpolated between their values at top and
-    bottom by sinh(k(t - s))/sinh(k t) and sinh(k s)/sinh(k t).  In a thin layer only the
-    departure from the straight line is: what the line gives has no cancellation in it.
+    bottom by sinh(k(t - s))/sinh(k t) and sinh(k s)/sinh(k t).  In a thin layer only
+    the departure from the straight line is interpolated so, since the line itself has no
+    cancellation.
     """
     t = layer.depth
 

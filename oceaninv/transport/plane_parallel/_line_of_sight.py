@@ -30,7 +30,7 @@ class Sight(NamedTuple):
 
 
 class Stretch(NamedTuple):
-    """What of it lies in each layer; leading axis for layers."""
+    """The part of a line of sight in each layer; leading axis for layers."""
 
     share: Array  # of the layer, at the end nearer to the eye
     length: Array  # optical, vertical
@@ -39,7 +39,7 @@ class Stretch(NamedTuple):
 
 
 def _shares(column: Column, z: Float[Array, ""]) -> Float[Array, "layer"]:
-    """What of each layer lies above depth z (m)."""
+    """The share of each layer that lies above depth z (m)."""
     return jnp.clip((z - column.top) * column.rate, 0.0, 1.0)
 
 
@@ -70,17 +70,18 @@ def single_scattering(
     sun: Float[Array, ""],
     cosine: Float[Array, ""],
 ) -> Float[Array, ""]:
-    """Sunlight scattered once, and any number of times besides within the forward peak.
+    """Sunlight scattered once, and any number of further times within the forward peak.
 
     `moments`: b chi_l, 1/m, of more degrees than the column has; `polynomials`: P_l of the angle
     between sun and sight; `vsf`: the exact volume scattering function there, 1/m/sr.
 
-    In the column's water with the exact function (the method TMS of Nakajima & Tanaka 1988) all
-    of it would reach deep unblurred.  Here the peak that the column takes for unscattered light
-    blurs it: at small angles each degree is attenuated on its own, e^(-(c - b chi_l) s) (Snyder &
-    Dash 1949).  From degree L on, which the column leaves out, that is all there is; below, the
-    column holds what is scattered twice and more.  Away from the sun it is TMS; within some 30
-    degrees it is right to 1e-3 where TMS errs by some percent (their IMS is its second order).
+    With the exact function in the column's water (the TMS method of Nakajima & Tanaka 1988) all of
+    it would reach great depths without blur.  Here the peak that the column treats as unscattered
+    light blurs it: at small angles each degree has its own attenuation, e^(-(c - b chi_l) s)
+    (Snyder & Dash 1949).  This is all the light of degrees L and above, which the column leaves
+    out; for lower degrees the column holds the light scattered twice or more.  Away
+    from the sun the method is TMS; within some 30 degrees it is right to 1e-3 where TMS errs by
+    some percent (their IMS is its second order).
     """
     path, _ = stretches(column, sight)
     nu, rate = 1 / cosine, 1 / sight.mu
@@ -158,7 +159,7 @@ def scattered(
     sums,
     differences,
 ) -> Float[Array, ""]:
-    """What is scattered into a line of sight, given the integrals of u and v along it."""
+    """Light scattered into a line of sight, given the integrals of u and v along it."""
     gain = basis.from_order(layer.gain * angular) / (2 * sight.mu)
     root_mu = jnp.sqrt(basis.mu)
     even = (basis.turn @ (basis.even @ gain[0::2])) / root_mu

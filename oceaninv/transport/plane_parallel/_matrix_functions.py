@@ -57,7 +57,7 @@ def mean_decay_between(x, y, t):
     return jnp.exp(-jnp.minimum(x, y) * t) * mean_decay(jnp.abs(x - y) * t)
 
 
-# Exponentials and means are taken of stacked arguments: each in the program costs compile time.
+# Exponentials and means take stacked arguments, as each one in the program costs compile time.
 
 
 def through(k, t):
@@ -249,8 +249,8 @@ def added(terms: Float[Array, "f *more"]) -> Float[Array, "*more"]:
     """Sum over the first axis, term by term or as a product of matrices, never as a sum.
 
     XLA makes a product that is summed over an axis one operation of its own, which in float32 on
-    a CPU ends the process at seven axes and more (jaxlib 0.10.2 and 0.11.0); maps over rays,
-    orders, wavelengths and layers bring that many.
+    a CPU crashes the process from seven axes on (jaxlib 0.10.2 and 0.11.0); maps over rays,
+    orders, wavelengths and layers reach that number.
     """
     if terms.shape[0] > 4:
         return jnp.tensordot(jnp.ones_like(terms, shape=terms.shape[:1]), terms, 1)
@@ -258,7 +258,7 @@ def added(terms: Float[Array, "f *more"]) -> Float[Array, "*more"]:
 
 
 def is_zero(tangent) -> bool:
-    """Whether a tangent is known to vanish, so that no program need be made for it."""
+    """Whether a tangent is known to vanish, so that nothing needs to be compiled for it."""
     return isinstance(tangent, SymbolicZero)
 
 

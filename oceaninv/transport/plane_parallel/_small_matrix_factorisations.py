@@ -1,8 +1,8 @@
-"""Factorisations of small matrices, of which a map makes a loop on a CPU.
+"""Factorisations of small matrices; on a CPU, a map over them becomes a loop.
 
-jaxlib up to 0.11.1 shares a batch of LAPACK factorisations among the threads that run the program,
-and each such call waits for its shares: as many calls at once as there are threads wait for each
-other for ever.  A loop of single factorisations cannot; on an accelerator batches stay batches.
+jaxlib up to 0.11.1 divides a batch of LAPACK factorisations among the threads that run the program,
+and each such call waits for its parts: as many simultaneous calls as there are threads deadlock.  A
+loop of single factorisations cannot deadlock.  On an accelerator batches stay batches.
 """
 
 from collections.abc import Callable
@@ -31,8 +31,8 @@ def _one_by_one(factorise: Callable) -> Callable:
             return factorise(matrices)
         return jax.lax.platform_dependent(matrices, cpu=looped, default=batched)
 
-    # Maps within maps become more axes in front and one loop: a loop for each would need its
-    # operands transposed, and XLA ends where it simplifies a transposed product.
+    # Nested maps become more leading axes and one loop: nested loops would need transposed
+    # operands, and XLA crashes when it simplifies a transposed product.
     @apply.def_vmap
     def _(size, batched, matrices):
         found = apply(matrices)

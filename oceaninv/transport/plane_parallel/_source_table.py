@@ -1,9 +1,9 @@
 """Source functions tabulated in depth, so that many lines of sight share them.
 
-What the diffuse field scatters into a direction is a sum over azimuth orders and Legendre degrees
-whose coefficients depend on depth alone.  They are computed at knots; along a line of sight their
-ratio to the scalar irradiance is linear in optical depth between knots, and its logarithm too, and
-the integral against the attenuation is exact for that.  A line of sight costs one product of
+The light that the diffuse field scatters into a direction is a sum over azimuth orders and Legendre
+degrees whose coefficients depend on depth alone.  They are computed at knots.  Between knots, their
+ratio to the scalar irradiance and its logarithm are taken as linear in optical depth, for which the
+integral against the attenuation is exact.  A line of sight costs one product of
 matrices instead of one set of matrix functions per order.
 """
 
@@ -84,7 +84,7 @@ def _moments(layer, modes, beam, field, basis: Basis, shares) -> Float[Array, "k
 def seen(
     table: Table, here: Float[Array, ""], sight: Sight, angular: Float[Array, "order moment"]
 ) -> Float[Array, ""]:
-    """What a line of sight gathers from the diffuse field, at one wavelength.
+    """Light scattered from the diffuse field into a line of sight, at one wavelength.
 
     `here`: optical depth of the eye; `angular`: cos(m phi) p_l of the direction of the light.
     """
