@@ -59,8 +59,8 @@ def candidate_models(scene: Scene, quantity: str) -> list[CandidateModel]:
     """All models to be measured, from the Kd closure as printed to random walks."""
     flux = quantity == "irradiance"
     closed = [KdTransport(), TwoStream(), FourStream()]
-    dials = ((4, 1), (8, 1), (16, 1)) if flux else ((4, 4), (8, 6), (16, 8), (16, 16))
-    exact = [PlaneParallel(streams, orders) for streams, orders in dials]
+    settings = ((4, 1), (8, 1), (16, 1)) if flux else ((4, 4), (8, 6), (16, 8), (16, 16))
+    exact = [PlaneParallel(streams, orders) for streams, orders in settings]
     if scene.inelastic is not None:
         exact.insert(2, PlaneParallel(8, 1 if flux else 6, inelastic_orders=2))
     models = [CandidateModel(_name(t), answer_of_transport(t, quantity)) for t in (*closed, *exact)]

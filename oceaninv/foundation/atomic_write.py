@@ -52,7 +52,7 @@ def check_replaceable(path: str | Path, *, overwrite: bool = False) -> None:
 
 
 def is_own(path: str | Path) -> bool:
-    """Whether oceaninv wrote this file and, where it is text, nobody edited it since."""
+    """Whether oceaninv wrote this file and, if it is text, it has not been edited since."""
     with Path(path).open("rb") as file:
         if os.fstat(file.fileno()).st_size == 0:
             return False

@@ -73,7 +73,7 @@ def camera_bands(
 def band_edges(wavelength: tables.Wavelengths) -> Float[np.ndarray, " edge"]:
     """Edges (nm) of the bands around `wavelength`: the midpoints, and half a band at each end.
 
-    **Raises:** `ValueError` for fewer than two wavelengths, whose width nobody knows, and for
+    **Raises:** `ValueError` for fewer than two wavelengths, as one band has no width, and for
     what `tables.check_wavelength` refuses.
     """
     wavelength = tables.check_wavelength(wavelength)

@@ -92,7 +92,7 @@ def radiance(
         del t
         return jnp.sum(each_walk(world, before, ahead, after, vertex), axis=1)
 
-    def stand(unit):
+    def start_walks(unit):
         ray = (unit // jnp.uint32(groups)).astype(jnp.int32)
         position, direction = (
             tuple(jnp.broadcast_to(v[ray, i][:, None], (len(unit), GROUP)) for i in range(3))
@@ -107,10 +107,12 @@ def radiance(
 
     def elastic(unit):
         blank = jnp.zeros((len(unit), bands), scene.light.direct.dtype)
-        return _event_loop.walk(world, stand(unit), unit, plan, score, blank)[0]
+        return _event_loop.walk(world, start_walks(unit), unit, plan, score, blank)[0]
 
     def inelastic(unit):
-        return backward_inelastic(scene, world, stand, each_walk, plan, inelastic_orders, unit)
+        return backward_inelastic(
+            scene, world, start_walks, each_walk, plan, inelastic_orders, unit
+        )
 
     found = []
     for run in (elastic,) if scene.inelastic is None else (elastic, inelastic):

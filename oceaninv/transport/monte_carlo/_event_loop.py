@@ -230,11 +230,11 @@ def estimate(sums: tuple[Array, Array], scene: Scene, plan: WalkSettings) -> Est
     albedo = jnp.max(jnp.stack([w.albedo for w in _weights.waters(scene)]), axis=0)
     albedo = jax.lax.stop_gradient(albedo).reshape((1,) * (value.ndim - 1) + (-1,))
     last = jnp.abs(jnp.mean(jax.lax.stop_gradient(tail), axis=0)) / max(bounces // 4, 1)
-    room = 1.0 - albedo
+    absorbed = 1.0 - albedo
     # The bound holds once contributions decline, hence not if the last quarter adds over a tenth.
     declining = last * max(bounces // 4, 1) <= 0.1 * jnp.abs(jax.lax.stop_gradient(value))
-    known = (room > 0) & declining & (plan.similar is None)
-    bias = jnp.where(known, last * albedo / jnp.where(room > 0, room, 1.0), jnp.nan)
+    known = (absorbed > 0) & declining & (plan.similar is None)
+    bias = jnp.where(known, last * albedo / jnp.where(absorbed > 0, absorbed, 1.0), jnp.nan)
     return Estimate(value, stderr, bias)
 
 

@@ -242,8 +242,8 @@ def flush_weights(medium: Medium, walks: WalkBatch) -> WalkBatch:
 
 
 def similar(proposal: Proposal, medium: Medium) -> tuple[Proposal, Medium]:
-    """The water that scatters evenly and b (1 - g) as much, which far inside differs little
-    (similarity theory; Frisvad et al. 2007, section 3).  For lanes with a spectral factor."""
+    """A water that scatters isotropically with b (1 - g); far from boundaries its light is similar
+    (similarity theory; Frisvad et al. 2007, section 3).  For walks with a spectral factor."""
     rows, c, rates = [], [], []
     for own, phases, attenuation in zip(medium.rows, medium.phases, medium.c, strict=True):
         even = 1.0 - jnp.stack([jnp.asarray(p.asymmetry, own.dtype) for p in phases])

@@ -62,7 +62,7 @@ class WithObjects(AbstractTransport):
 
     def radiance(self, scene: Scene, rays: Rays, key: Key[Array, ""] | None = None) -> Estimate:
         """See `oceaninv.radiance`."""
-        return _drawn(self, scene, rays, key)
+        return _radiance_with_objects(self, scene, rays, key)
 
     def _whole(self, scene: Scene, rays: Rays, key) -> Estimate:
         """Radiance along rays, with caustics and reflections in the surface."""
@@ -73,7 +73,7 @@ class WithObjects(AbstractTransport):
         return Estimate(whole.value + _caustics(scene, line), whole.stderr, whole.bias)
 
     def _with_images(self, scene: Scene, line, key) -> Estimate:
-        rays, bare = line.rays, _bare(scene)
+        rays, bare = line.rays, _without_objects(scene)
         light = self._light(scene, bare, key)
         if scene.surface is None or not scene.objects or rays.length is not None:
             return self._seen(scene, line, self._water(bare, line, key), light)
@@ -210,7 +210,7 @@ def Shadows(base: AbstractTransport, steps: int = 48) -> WithObjects:
 
 
 @eqx.filter_jit
-def _drawn(transport: WithObjects, scene: Scene, rays: Rays, key) -> Estimate:
+def _radiance_with_objects(transport: WithObjects, scene: Scene, rays: Rays, key) -> Estimate:
     return transport._whole(scene, rays, key)
 
 
@@ -259,7 +259,7 @@ def _on_objects(
     )
 
 
-def _bare(scene: Scene) -> Scene:
+def _without_objects(scene: Scene) -> Scene:
     return dataclasses.replace(scene, objects=(), lamps=())
 
 
