@@ -19,25 +19,26 @@ def noise_floor(light: np.ndarray, mask: np.ndarray) -> np.ndarray:
     """(wl,) scatter of the electronics of bands that come to an end in light, by their deepest
     tenth.
 
-    There the scatter of ln light, from differences of neighbours, is compared with that of the
-    upper half of the cast, which the waves make: only what exceeds twice theirs is the
-    electronics', and nothing where light does not fade to a twentieth of the brightest.
+    There the scatter of the light, from differences of neighbours, is compared with what waves
+    make of it, whose relative scatter the upper half of the cast shows: only what exceeds twice
+    theirs is the electronics', and nothing where light does not fade to a twentieth of the
+    brightest.
     """
     floors = []
     for values, kept in zip(light.T, mask.T, strict=True):
         seen = values[kept]
         part = seen[-max(2 * MIN_DEPTHS, len(seen) // 10) :]
-        waves, deep, level = _scatter(seen[: len(seen) // 2]), _scatter(part), np.median(part)
+        level = max(float(np.median(part)), 0.0)
+        waves = _scatter(np.log(np.maximum(seen[: len(seen) // 2], 1e-30))) * level
         fades = level < _FADED * np.max(seen)
-        excess = max(deep**2 - (2.0 * waves) ** 2, 0.0) if fades else 0.0
-        floors.append(np.sqrt(excess) * max(level, 0.0))
+        floors.append(np.sqrt(max(_scatter(part) ** 2 - (2.0 * waves) ** 2, 0.0)) if fades else 0.0)
     # Never quite zero: a digital zero would claim perfect knowledge of darkness.
     return np.maximum(floors, 1e-12 * np.nanmax(np.where(mask, light, np.nan), axis=0))
 
 
-def _scatter(light: np.ndarray) -> float:
-    """Relative scatter of one sample, robust, from differences of neighbours less their trend."""
-    steps = np.diff(np.log(np.maximum(light, 1e-30)))
+def _scatter(values: np.ndarray) -> float:
+    """Standard deviation of one sample, robust, from differences of neighbours less their trend."""
+    steps = np.diff(values)
     if len(steps) == 0:
         return 0.0
     return float(1.4826 * np.median(np.abs(steps - np.median(steps))) / np.sqrt(2.0))

@@ -6,6 +6,13 @@ from scipy.stats import norm
 
 from fitting import Profile
 from fitting.observations import profile_sensor
+from fitting.observations.profile_sensor import (
+    isolated_values,
+    noise_floor,
+    segments,
+    shaded,
+    thinned,
+)
 
 
 def test_the_noise_floor_is_the_standard_deviation_of_the_noise():
@@ -111,3 +118,75 @@ def test_at_most_2048_samples_are_kept():
         profile = Profile(depth, np.array([490.0]), np.exp(-0.1 * depth)[:, None])
         assert (len(profile.depth) == count) == (count == 2048)
         assert len(profile.depth) <= 2048
+
+
+@pytest.mark.parametrize(("factor", "found"), [(1100.0, True), (900.0, False)])
+def test_a_value_above_a_thousand_times_its_neighbours_is_no_light(factor, found):
+    seen = np.exp(-0.1 * np.arange(30.0))[:, None] * np.ones(2)
+    seen[12, 1] = factor * seen[8, 1]
+    isolated = isolated_values(seen)
+    assert isolated[12, 1] == found
+    assert isolated.sum() == found
+    # Two fill values beside each other have each other for neighbours.
+    seen[13, 1] = seen[12, 1]
+    assert not isolated_values(seen).any()
+
+
+@pytest.mark.parametrize(("back", "ways"), [(0.22, 2), (0.18, 1)])
+def test_a_sensor_turns_where_it_comes_back_by_a_fifth_of_the_range(back, ways):
+    down = np.linspace(0.0, 10.0, 101)
+    up = 10.0 - np.linspace(0.0, 10.0 * back, 23)
+    assert len(np.unique(segments(np.concatenate([down, up])))) == ways
+
+
+@pytest.mark.parametrize(("share", "found"), [(0.45, True), (0.55, False)])
+def test_less_than_half_of_the_light_further_down_is_shade(share, found):
+    depth = np.linspace(0.2, 20.0, 100)
+    light = np.exp(-0.01 * depth)[:, None] * np.ones(3)
+    light[:15] = share * light[15]
+    mask, way = np.ones(light.shape, bool), np.zeros(100, int)
+    dark = shaded(depth, light, mask, way)
+    assert dark[:15].all() == found
+    assert dark.any() == found
+    # All that lies above the brightest depth, and as far below it as light took to halve above.
+    if found:
+        assert 15 <= dark.sum() <= 22
+    # One band alone may fluoresce or fail: most bands must say so.
+    light[:15, :2] = light[15, :2]
+    assert not shaded(depth, light, mask, way).any()
+
+
+@pytest.mark.parametrize(("extra", "merged"), [(12, True), (7, False)])
+def test_a_stay_is_ten_times_the_usual_number_at_one_depth(extra, merged):
+    """Samples one to a bin of 512, and some more in one of them."""
+    depth = np.sort(np.concatenate([np.linspace(0.0, 51.1, 512), np.full(extra, 20.04)]))
+    data = {"depth": depth, "Ed": np.ones((len(depth), 1)), "segment": np.zeros(len(depth))}
+    found, notes = thinned(data)
+    assert bool(notes) == merged
+    assert (len(found["depth"]) <= 512) == merged
+
+
+@pytest.mark.parametrize(("level", "found"), [(0.045, True), (0.055, False)])
+def test_a_floor_is_looked_for_where_light_fades_to_a_twentieth(level, found):
+    rng, depth = np.random.default_rng(0), np.linspace(0.0, 1.0, 400)
+    light = np.exp(np.log(level / 0.975) * np.clip(depth / 0.9, 0.0, 1.0))
+    light = light + 0.01 * level * rng.standard_normal(400)
+    floor = noise_floor(light[:, None], np.ones((400, 1), bool))[0]
+    assert (floor > 1e-6) == found
+
+
+def test_the_floor_is_the_electronics_noise_and_not_the_waves():
+    """Waves alone leave no floor up to twice their scatter; electronics' own scatter is found."""
+    rng, found = np.random.default_rng(1), {}
+    light = np.exp(-np.linspace(0.0, 5.0, 1000))
+    for ratio in (1.7, 2.3, 10.0):
+        floors = []
+        for _ in range(40):
+            noise = np.where(np.arange(1000) < 900, 0.02, 0.02 * ratio)
+            seen = light * (1 + noise * rng.standard_normal(1000))
+            floors.append(noise_floor(seen[:, None], np.ones((1000, 1), bool))[0])
+        found[ratio] = np.array(floors) / np.median(light[-100:])
+    assert np.mean(found[1.7] > 1e-6) < 0.25
+    assert np.mean(found[2.3] > 1e-6) > 0.75
+    # sqrt(10^2 - 2^2) of 2 %, to the scatter of a median of 100.
+    np.testing.assert_allclose(np.median(found[10.0]), 0.02 * np.sqrt(96.0), rtol=0.06)
