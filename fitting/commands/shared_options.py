@@ -80,8 +80,10 @@ def print_water(fit: "Fit") -> None:
             f"tabulated from {low:g} to {high:g} nm"
         )
     if "nearest_jerlov_type" in fit.metadata:
-        away = 100 * fit.metadata["nearest_jerlov_rms_ln_kd"]
-        print(f"nearest Jerlov type: {fit.metadata['nearest_jerlov_type']} ({away:.0f} % off)")
+        difference = 100 * fit.metadata["nearest_jerlov_rms_ln_kd"]
+        print(
+            f"nearest Jerlov type: {fit.metadata['nearest_jerlov_type']} ({difference:.0f} % off)"
+        )
     print(f"search: {fit.result}")
 
 

@@ -37,14 +37,14 @@ class Region:
 
     def holds(self, values: Mapping[str, float]) -> bool:
         """Whether the physical values lie inside."""
-        away = np.log([values[name] for name in self.names]) - self.centre
-        return bool(away @ self.precision @ away <= self.radius2)
+        difference = np.log([values[name] for name in self.names]) - self.centre
+        return bool(difference @ self.precision @ difference <= self.radius2)
 
     def interval(self, name: str) -> tuple[float, float]:
         """(low, high) physical values of one number that occur in the region."""
         i = self.names.index(name)
-        reach = np.sqrt(self.radius2 * np.linalg.inv(self.precision)[i, i])
-        return float(np.exp(self.centre[i] - reach)), float(np.exp(self.centre[i] + reach))
+        half = np.sqrt(self.radius2 * np.linalg.inv(self.precision)[i, i])
+        return float(np.exp(self.centre[i] - half)), float(np.exp(self.centre[i] + half))
 
 
 @dataclasses.dataclass(frozen=True)
@@ -152,7 +152,7 @@ def held(
     target: Float[Array, " name"],
     root: Float[Array, "name name"],
 ):
-    """Where the posterior is best while ln of the named numbers are held, and the sum of squares.
+    """The optimum with ln of the named numbers held at `target`, and its sum of squares.
 
     `root`: what to hold, see `whitening`; nothing where 0.  Pure: jit and vmap it.
     """
@@ -196,8 +196,8 @@ def joint_region(
     that hold the truth.
 
     **Returns** of a fit that keeps its posterior a `LikelihoodRegion`, of any other the ellipsoid
-    of its covariance.  Either says whether it `holds` given values, and the `interval` of one
-    number within it; of a region of one name this is that number's interval by itself.
+    of its covariance.  `holds` tells whether given values lie inside, and `interval` the range
+    of one number in it; of a region of one name this is that number's own interval.
     """
     from scipy.stats import chi2, f
 

@@ -122,7 +122,7 @@ def profile_along(
 
 
 def _conditional(slope, held):
-    # The held column is replaced by one of its own, on which no other depends.
+    # Replace the held column by one that is independent of all others.
     free = jnp.where(held[None, :], 0.0, slope)
     return covariance(jnp.concatenate([free, held[None, :].astype(slope.dtype)]))
 

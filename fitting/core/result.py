@@ -49,10 +49,10 @@ class Quantity:
         """(low, high) that holds the truth with probability `level`."""
         if self.samples is not None:
             return tuple(np.quantile(self.samples, [0.5 - 0.5 * level, 0.5 + 0.5 * level], axis=0))
-        reach = half_width(
+        half = half_width(
             level, self.sd, self.second_order_sd, dof if self.dof is None else self.dof
         )
-        return self.value * np.exp(-reach), self.value * np.exp(reach)
+        return self.value * np.exp(-half), self.value * np.exp(half)
 
 
 def quantile(level: float, dof: float | np.ndarray | None = None) -> Any:
@@ -267,8 +267,8 @@ class Fit:
             return low, high
         dof = self.dof[i] if isinstance(self.dof, np.ndarray) else self.dof
         second_order_sd = 0.0 if self.second_order_sd is None else self.second_order_sd[i]
-        reach = half_width(level, np.sqrt(self.covariance[i, i]), second_order_sd, dof)
-        return self.x[i] - reach, self.x[i] + reach
+        half = half_width(level, np.sqrt(self.covariance[i, i]), second_order_sd, dof)
+        return self.x[i] - half, self.x[i] + half
 
     @property
     def identifiable(self) -> dict[str, bool]:

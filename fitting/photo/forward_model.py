@@ -40,7 +40,7 @@ class PixelClasses(eqx.Module):
 class Readings(eqx.Module):
     """The numbers of one photograph as arrays, one row per reading (patch or background).
 
-    `ray` says along which line of sight a reading lies; background readings reflect nothing.
+    `ray`: index of each reading's line of sight; readings of background have reflectance 0.
     """
 
     values: Float[Array, "reading channel"]

@@ -65,7 +65,7 @@ def _result(
     bias, second_order_sd = _bias_and_second_order_sd(second_order, parameters, cov)
     if second_order is not None:
         cov = profile_adjusted_covariance(problem, parameters, optimum.x, cov)
-    jerlov, away = nearest_jerlov(WAVELENGTH, quantities["Kd"])
+    jerlov, difference = nearest_jerlov(WAVELENGTH, quantities["Kd"])
     count = int(sum(int(one.mask.sum()) for one in readings))
     if stated is None:
         stated = float(np.sum(np.asarray(optimum.residual) ** 2)) / max(count, 1)
@@ -82,7 +82,7 @@ def _result(
             "transport": type(problem.transport).__name__,
             "kd_definition": "mean from the surface to the depth of 10 % light",
             "nearest_jerlov_type": jerlov,
-            "nearest_jerlov_rms_ln_kd": away,
+            "nearest_jerlov_rms_ln_kd": difference,
             "values": "mode"
             if second_order is None
             else "constituents corrected for curvature (Box 1971)",

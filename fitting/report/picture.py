@@ -59,10 +59,10 @@ def _draw_profile(axes, fit: Fit) -> None:
         label = f"{wavelength:g} nm" if len(fit.wavelength) <= 8 else None
         axes.plot(predicted[kept], depth[kept], "-", lw=1.4, color=colour, label=label)
         if len(fit.wavelength) <= 8:
-            reach = 1.96 * predictive.sd[:, i][kept]
+            half = 1.96 * predictive.sd[:, i][kept]
             # The axis is logarithmic: what the noise floor takes below zero ends at a hundredth.
-            low = np.maximum(predicted[kept] - reach, 0.01 * predicted[kept])
-            high = predicted[kept] + reach
+            low = np.maximum(predicted[kept] - half, 0.01 * predicted[kept])
+            high = predicted[kept] + half
             axes.fill_betweenx(depth[kept], low, high, color=colour, alpha=0.12, lw=0)
     axes.set(xscale="log", xlabel="Ed (W m⁻² nm⁻¹)", ylabel="depth (m)")
     axes.set_ylim(depth[used].max() * 1.03, 0)

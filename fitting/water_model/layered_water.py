@@ -119,9 +119,11 @@ def layer_units(count: int) -> dict[str, Description]:
 
 
 def layer_quantities(
-    values: Values, wavelength: np.ndarray, transport: AbstractTransport, reach
+    values: Values, wavelength: np.ndarray, transport: AbstractTransport, deepest_sample
 ) -> dict[str, Float[Array, "..."]]:
-    """The quantities named by `layer_units`; `reach` (wl,): the deepest sample of each band, m.
+    """The quantities named by `layer_units`.
+
+    `deepest_sample`: (wl,) depth of the deepest sample of each band, m.
 
     The last layer's Kd is the mean down to the deepest sample of all.
     """
@@ -131,13 +133,13 @@ def layer_quantities(
     water = layers_of(values, grid)
     error = 1.0 + values["kd_model_error"]
     last = water.interfaces[-1:]
-    deepest = jnp.maximum(jnp.max(reach) * error, last + 1e-3)
+    deepest = jnp.maximum(jnp.max(deepest_sample) * error, last + 1e-3)
     edges = jnp.concatenate([jnp.zeros_like(last), water.interfaces, deepest])
     light = Light(values["solar_zenith"], jnp.ones(len(grid), deepest.dtype))
-    depths = jnp.concatenate([edges, reach * error])
+    depths = jnp.concatenate([edges, deepest_sample * error])
     down = jnp.log(transport.irradiance(Scene(water, light, FlatSurface()), depths, None).Ed.value)
-    at_edges, at_reach = down[: len(edges)], down[len(edges) :, asked]
-    found = {"Kd": (down[0, asked] - jnp.diagonal(at_reach)) / reach}
+    at_edges, at_deepest = down[: len(edges)], down[len(edges) :, asked]
+    found = {"Kd": (down[0, asked] - jnp.diagonal(at_deepest)) / deepest_sample}
     for i, own in enumerate(water.iops, start=1):
         row = dict(zip(own.absorbers, own.a_components, strict=True))
         fall = at_edges[i - 1, at_490] - at_edges[i, at_490]

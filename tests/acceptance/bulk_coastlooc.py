@@ -97,16 +97,16 @@ def summary(fits, grid) -> list[str]:
         text.append(f"| {name} | " + " | ".join(cells) + " |")
     text += [
         "",
-        "| unknown | identifiable at | median sd over prior spread | leans most on |",
+        "| unknown | identifiable at | median sd over prior spread | most sensitive to |",
         "|---|---|---|---|",
     ]
     for p in fits[0].parameters:
         known = sum(f.identifiable[p.name] for f in fits)
         share = np.median([f.sd[p.name] / p.spread for f in fits])
-        leaning = fits[0].sensitivity.get(p.name, {})
+        shifts = fits[0].sensitivity.get(p.name, {})
         most = ""
-        if leaning:
-            size = {k: np.median([abs(f.sensitivity[p.name][k]) for f in fits]) for k in leaning}
+        if shifts:
+            size = {k: np.median([abs(f.sensitivity[p.name][k]) for f in fits]) for k in shifts}
             worst = max(size, key=size.__getitem__)
             most = f"{worst} ({size[worst]:.2f} per spread)"
         text.append(f"| {p.name} | {known}/{len(fits)} | {share:.2f} | {most} |")

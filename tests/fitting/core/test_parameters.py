@@ -8,6 +8,7 @@ import pytest
 import oceaninv as oi
 from fitting import Identity, Log, Logit, Parameter
 from fitting.core.parameters import Parameters
+from fitting.water_model.layered_water import layer_unknowns
 from fitting.water_model.unknowns import constituents, shape_nuisances, water_iops
 
 WAVELENGTH = oi.spectrum.bands(8)
@@ -73,12 +74,24 @@ def test_an_unknown_name_is_answered_with_near_ones():
         parameters.replace({"detritis": Parameter("detritis", 0.1)})
 
 
+def test_unknowns_of_layers_know_their_layer():
+    found = {p.name: (p.kind, p.layer) for p in layer_unknowns([8.0, 12.0], 40.0)}
+    for layer in (1, 2, 3):
+        assert found[f"chlorophyll_{layer}"] == ("chlorophyll", layer)
+    assert found["thickness_2"] == ("thickness", 2)
+    assert "thickness_3" not in found
+    assert found["cdom_slope"] == ("cdom_slope", None)
+
+
 def test_priors_can_be_exchanged_by_name():
     known = Parameter("cdom", 0.12, 0.1)
     before = Parameters([*constituents(), *shape_nuisances()])
     after = before.replace({"cdom": known})
     assert after.names == before.names
     assert after[1] == known
+    # What replaces an unknown of a layer belongs to that layer.
+    layered = Parameters(layer_unknowns([8.0], 40.0)).replace({"cdom_2": Parameter("cdom_2", 0.1)})
+    assert [(p.kind, p.layer) for p in layered if p.name == "cdom_2"] == [("cdom", 2)]
     assert after[0] is before[0]
 
 

@@ -12,7 +12,7 @@ from fitting import Background, Chart, Parameter, Photo, Pixels, design, fit_pho
 from fitting.core.least_squares import covariance, cross_check
 from fitting.observations.photo import WAVELENGTH
 from fitting.photo.forward_model import predict
-from fitting.photo.problem import photo_residual, prepare
+from fitting.photo.problem import _unknowns, photo_residual, prepare
 from fitting.water_model.quantities import water_quantities
 from fitting.water_model.unknowns import water_iops
 
@@ -105,6 +105,19 @@ def fitted():
 def test_bad_input_is_a_sentence(make, words):
     with pytest.raises(ValueError, match=words):
         make()
+
+
+def test_unknowns_know_their_photograph_chart_and_channel():
+    frames = [photo(), photo(exposure=0.01)]
+    found = {p.name: p for p in _unknowns(frames, False)}
+    places = {n: (p.kind, p.photograph, p.chart, p.channel) for n, p in found.items()}
+    assert places["chart_1_0"] == ("chart", 1, 0, None)
+    assert places["gain_0_R"] == ("gain", 0, None, "R")
+    assert places["gain_B"] == ("gain", None, None, "B")
+    assert places["exposure_1"] == ("exposure", 1, None, None)
+    assert places["depth_1"] == ("depth", 1, None, None)
+    assert places["veil_G"] == ("veil", None, None, "G")
+    assert places["cdom"] == ("cdom", None, None, None)
 
 
 def test_a_channel_without_readings_is_named():
