@@ -81,9 +81,9 @@ def read_photograph(path: str | Path, encoding: str | None = None) -> Photograph
     Decoding a curve adds 5 % to every pixel, for no camera follows such a curve exactly.
 
     Values of raw files are the counts above the stated black level as shares of the stated white
-    level; two by two counts become one pixel, without demosaicing.  Pixels at the white level, or
-    in a spike of the histogram below it, are masked.  So are pixels that are transparent, and those
-    of an EXR outside its data window.
+    level; two by two counts (three by three of an X-Trans sensor) become one pixel, without
+    demosaicing.  Pixels at the white level, or in a spike of the histogram below it, are masked.
+    So are pixels that are transparent, and those of an EXR outside its data window.
 
     **Raises:** ValueError with a sentence for what cannot be read as three linear channels, and for
     more than 60 megapixels (240 of a raw file) before they are decoded.
@@ -200,10 +200,11 @@ def _exif(attributes: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _read_raw(path: Path) -> tuple[np.ndarray, float, dict[str, Any], np.ndarray]:
-    """Linear camera channels at half size (no demosaicing), step, EXIF, pixels not clipped.
+    """Linear camera channels of blocks of counts, step, EXIF, and which pixels are not clipped.
 
-    Scaled by the stated black and white levels alone: LibRaw's automatic maximum, which follows
-    the brightest pixel of a frame, is switched off.
+    Scaled by the stated black and white levels alone: LibRaw's own development scales by the
+    brightest pixel of a frame where this is above 0.75 of the white level, and leaves red and blue
+    of X-Trans mosaics without a value at half size.
     """
     try:
         import rawpy
@@ -225,31 +226,26 @@ def _read_raw(path: Path) -> tuple[np.ndarray, float, dict[str, Any], np.ndarray
                 )
             step = 1.0 / (white - max(black)) / np.sqrt(12.0)
             pattern = raw.raw_pattern
-            if pattern is not None and pattern.shape == (2, 2) and raw.color_desc == b"RGBG":
-                tile = raw.raw_colors_visible[:2, :2]
-                values, usable, below = _binned(raw.raw_image_visible, tile, black, white)
+            if pattern is None and raw.num_colors == 3 and raw.raw_type == rawpy.RawType.Stack:
+                # No mosaic: three counts at every pixel.
+                counts = raw.raw_image_visible[:, :, :3].astype(np.float64)
+                values = (counts - np.array(black[:3])) / (white - np.array(black[:3]))
+                usable = np.asarray(np.all(counts < white, axis=2))
             else:
-                values = raw.postprocess(
-                    half_size=True,
-                    gamma=(1, 1),
-                    no_auto_bright=True,
-                    adjust_maximum_thr=0.0,
-                    user_wb=[1.0, 1.0, 1.0, 1.0],
-                    output_color=rawpy.ColorSpace.raw,
-                    output_bps=16,
-                    user_flip=0,
-                )
-                values = values / 65535.0
-                usable = np.all(values < 1.0, axis=2)
-                if raw.raw_type == rawpy.RawType.Flat:
-                    usable &= ~_any_of_four(raw.raw_image_visible >= white, usable.shape)
+                # Bayer and X-Trans mosaics hold every colour in each block of this size.
+                size = 2 if pattern is not None and pattern.shape == (2, 2) else 3
+                if pattern is None or pattern.size not in (4, 36) or raw.color_desc != b"RGBG":
+                    raise ValueError(
+                        f"{path} is no Bayer or X-Trans mosaic of red, green and blue: of raw "
+                        "mosaics, only these are read."
+                    )
+                colours = raw.raw_colors_visible
+                values, usable, below = _binned(raw.raw_image_visible, colours, size, black, white)
     except (rawpy.LibRawError, OSError, MemoryError):
         raise ValueError(
             f"{path} cannot be read as a raw file: it is damaged, cut short, or of a format that "
             "LibRaw does not know."
         ) from None
-    if values.ndim != 3 or values.shape[2] != 3:
-        raise ValueError(f"{path} is no raw file of red, green and blue.")
     if below:
         named = ", ".join(f"{n} at {level:g}" for level, n in sorted(below.items()))
         warnings.warn(
@@ -262,40 +258,36 @@ def _read_raw(path: Path) -> tuple[np.ndarray, float, dict[str, Any], np.ndarray
     return values, step, raw_exif(path), usable
 
 
-def _any_of_four(counts: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
-    """(row, column) of `shape`: whether any of two by two counts is true."""
-    blocks = counts[: 2 * shape[0], : 2 * shape[1]]
-    missing = [(0, 2 * n - have) for n, have in zip(shape, blocks.shape, strict=True)]
-    padded = np.pad(blocks, missing).reshape(shape[0], 2, shape[1], 2)
-    return np.asarray(padded.any(axis=(1, 3)))
-
-
 def _binned(
-    counts: np.ndarray, tile: np.ndarray, black: Sequence[int], white: int
+    counts: np.ndarray, colours: np.ndarray, size: int, black: Sequence[int], white: int
 ) -> tuple[np.ndarray, np.ndarray, dict[float, int]]:
-    """Two by two counts as one pixel of shares of the white level, and which are not clipped.
+    """Blocks of size x size counts as pixels of shares of the white level, and which are usable.
 
-    `tile`: (2, 2) LibRaw's number of the colour of each count, 1 and 3 both green.  The third
-    result is the number of counts that are clipped at each level below the white level.
+    `colours`: (row, column) LibRaw's number of the colour of each count, 1 and 3 both green; every
+    block holds all three colours.  The third result is the number of counts that are clipped at
+    each level below the white level.
     """
-    rows, columns = counts.shape[0] // 2, counts.shape[1] // 2
-    sums, number = np.zeros((rows, columns, 3)), np.zeros(3)
+    rows, columns = counts.shape[0] // size, counts.shape[1] // size
+    sums, number = np.zeros((rows, columns, 3)), np.zeros((rows, columns, 3))
     usable = np.ones((rows, columns), dtype=bool)
     below: dict[float, int] = {}
-    for down in (0, 1):
-        for across in (0, 1):
-            colour = int(tile[down, across])
-            plane = counts[down : 2 * rows : 2, across : 2 * columns : 2].astype(np.float64)
-            share = (plane - black[colour]) / (white - black[colour])
-            clipped = plane >= white
-            spike = None if clipped.any() else saturation_spike(share)
-            if spike is not None and spike >= _LEAST_SATURATION:
-                clipped = share >= 0.999 * spike
-                level = float(plane.max())
-                below[level] = below.get(level, 0) + int(clipped.sum())
-            usable &= ~clipped
-            sums[:, :, colour % 3 if colour < 3 else 1] += share
-            number[colour if colour < 3 else 1] += 1
+    for down in range(size):
+        for across in range(size):
+            part = slice(down, size * rows, size), slice(across, size * columns, size)
+            plane, colour = counts[part].astype(np.float64), colours[part]
+            for one in np.unique(colour):
+                here = colour == one
+                share = (plane - black[one]) / (white - black[one])
+                clipped = here & (plane >= white)
+                spike = None if clipped.any() else saturation_spike(share[here])
+                if spike is not None and spike >= _LEAST_SATURATION:
+                    clipped = here & (share >= 0.999 * spike)
+                    level = float(plane[here].max())
+                    below[level] = below.get(level, 0) + int(clipped.sum())
+                usable &= ~clipped
+                channel = 1 if one == 3 else int(one)
+                sums[:, :, channel] += np.where(here, share, 0.0)
+                number[:, :, channel] += here
     return sums / number, usable, below
 
 

@@ -93,15 +93,24 @@ def test_exif_gives_exposure_and_flash(tmp_path):
     assert named.camera == "Nikon D810"
 
 
-def write_dng(path, mosaic, flash):
-    """A minimal raw file: one uncompressed 16-bit RGGB mosaic, black 100, white 4100."""
+# Red, green and blue (0, 1, 2) of the six by six cells of an X-Trans sensor.
+X_TRANS = np.array([
+    [1, 1, 0, 1, 1, 2], [1, 1, 2, 1, 1, 0], [2, 0, 1, 0, 2, 1],
+    [1, 1, 2, 1, 1, 0], [1, 1, 0, 1, 1, 2], [0, 2, 1, 2, 0, 1],
+])  # fmt: skip
+
+
+def write_dng(path, mosaic, flash, cells=((0, 1), (1, 2))):
+    """A minimal raw file: one uncompressed 16-bit mosaic, black 100, white 4100."""
+    cells = np.asarray(cells)
     height, width = mosaic.shape
     exif = [(0x829A, 5, (1, 200)), (0x829D, 5, (8, 1)), (0x8827, 3, (125,)), (0x9209, 3, (flash,))]
     main = [
         (254, 4, (0,)), (256, 4, (width,)), (257, 4, (height,)), (258, 3, (16,)), (259, 3, (1,)),
         (262, 3, (32803,)), (271, 2, b"NIKON CORPORATION\0"), (272, 2, b"NIKON D810\0"),
         (273, 4, (8,)), (277, 3, (1,)), (278, 4, (height,)), (279, 4, (2 * width * height,)),
-        (0x8769, 4, (8 + 2 * width * height,)), (33421, 3, (2, 2)), (33422, 1, (0, 1, 1, 2)),
+        (0x8769, 4, (8 + 2 * width * height,)), (33421, 3, cells.shape),
+        (33422, 1, tuple(cells.ravel().tolist())),
         (50706, 1, (1, 4, 0, 0)), (50714, 3, (100,)), (50717, 3, (4100,)),
         (50721, 10, (1, 1, 0, 1, 0, 1, 0, 1, 1, 1, 0, 1, 0, 1, 0, 1, 1, 1)),
     ]  # fmt: skip
@@ -160,6 +169,39 @@ def test_a_raw_value_does_not_depend_on_what_else_is_in_the_frame(tmp_path, brig
     np.testing.assert_allclose(photo.values[5, 6], [0.1, 0.225, 0.4], rtol=1e-12)
     assert (~photo.mask.all(axis=2)).sum() == (1 if brightest == 1.0 else 0)
     assert photo.step == pytest.approx(1 / 4000 / np.sqrt(12))
+
+
+@pytest.mark.parametrize("brightest", [0.6, 0.76, 0.9, 1.0])
+def test_raw_values_of_other_mosaics_are_on_the_same_scale(tmp_path, brightest):
+    """Three by three cells of an X-Trans sensor hold 2 red, 5 green and 2 blue ones."""
+    share = np.array([0.1, 0.3, 0.5])
+    mosaic = 100 + 4000 * np.tile(share[X_TRANS], (6, 8))
+    mosaic[12:18, 12:18] = 100 + 4000 * brightest
+    photo = read_photograph(write_dng(tmp_path / "a.dng", mosaic, flash=0, cells=X_TRANS))
+    assert photo.values.shape == (12, 16, 3)
+    truth = np.broadcast_to(share, (12, 16, 3)).copy()
+    truth[4:6, 4:6] = brightest
+    np.testing.assert_allclose(photo.values, truth, rtol=1e-12)
+    np.testing.assert_array_equal(~photo.mask.all(axis=2), truth[:, :, 0] >= 1.0)
+
+
+@pytest.mark.parametrize("brightest", [0.6, 0.76, 0.9, 1.0])
+def test_raw_values_without_a_mosaic_are_on_the_same_scale(tmp_path, brightest):
+    """A linear DNG: three counts at every pixel."""
+    import tifffile
+
+    counts = np.full((32, 40, 3), 100 + 4000 * np.array([0.1, 0.3, 0.5]))
+    counts[6, 8] = 100 + 4000 * brightest
+    identity = tuple(v for row in np.eye(3, dtype=int) for one in row for v in (int(one), 1))
+    tags = [(50706, 1, 4, (1, 4, 0, 0), True), (50714, 3, 3, (100,) * 3, True),
+            (50717, 3, 3, (4100,) * 3, True), (50721, 10, 9, identity, True)]  # fmt: skip
+    path = tmp_path / "a.dng"
+    tifffile.imwrite(path, np.round(counts).astype(np.uint16), photometric=34892, extratags=tags)
+    photo = read_photograph(path)
+    truth = np.broadcast_to([0.1, 0.3, 0.5], (32, 40, 3)).copy()
+    truth[6, 8] = brightest
+    np.testing.assert_allclose(photo.values, truth, rtol=1e-12)
+    np.testing.assert_array_equal(~photo.mask.all(axis=2), truth[:, :, 0] >= 1.0)
 
 
 def test_saturation_below_the_stated_white_level_of_a_raw_file_is_masked(tmp_path):
@@ -493,6 +535,18 @@ def test_markers_of_missing_ranges_are_left_out_with_their_count(tmp_path, name,
         found = read_range(path, (12, 16))
     assert np.isnan(found[:3, :5]).all()
     np.testing.assert_allclose(found[3:], RANGE[3:], atol=6e-4)
+
+
+def test_commands_print_warnings_as_sentences(tmp_path, capsys):
+    picture = write(tmp_path / "a.png", IMAGE, "uint16")
+    marked = RANGE.repeat(2, axis=0).repeat(2, axis=1) * 1000 / 65535
+    marked[:3, :5] = 1.0
+    ranges = write(tmp_path / "r.png", marked, "uint16")
+    assert cli.run(["check", str(picture), "--range-map", str(ranges)]) == 0
+    lines = capsys.readouterr().err.splitlines()
+    assert lines[0].startswith(f"oceaninv: {ranges}: 15 of 768 pixels hold 65535")
+    assert lines[1].startswith(f"oceaninv: {ranges} is 32 x 24, the photograph 16 x 12: the map")
+    assert len(lines) == 2
 
 
 def test_a_distant_background_is_no_marker(tmp_path):
