@@ -1,4 +1,4 @@
-"""Where verdicts on pictures, charts and range maps turn, and the noise that files imply."""
+"""Limits of the quality checks of pictures, charts and range maps, and the noise files imply."""
 
 import numpy as np
 import OpenImageIO as oiio
@@ -11,7 +11,7 @@ from fitting.images.photograph_file import Photograph, read_photograph
 
 
 def picture(plane, flash=False):
-    """The same channel three times, dithered so that nothing heaps up."""
+    """The same channel three times, spread so that no value stands out."""
     values = np.repeat(plane[:, :, None], 3, axis=2)
     exif = {"Flash": 1} if flash else {}
     return Photograph(values, values < 1.0, 0.0, 0.0, exif, "memory")
@@ -45,7 +45,7 @@ def test_a_hundredth_of_a_channel_may_be_at_full_scale(share, good):
     # the mean of a thousandth of the range).
     [(0, 99, True), (0, 101, False), (9900, 1999, True), (9900, 2001, False)],
 )
-def test_pixels_heap_up_where_far_more_are_alike_than_just_below(below, top, good):
+def test_a_saturation_spike_holds_far_more_pixels_than_lie_just_below(below, top, good):
     plane = np.full(1_000_000, 0.1)
     plane[:below] = np.linspace(0.55, 0.59, below) if below else 0.1
     plane[below : below + top] = 0.6
@@ -53,7 +53,7 @@ def test_pixels_heap_up_where_far_more_are_alike_than_just_below(below, top, goo
 
 
 @pytest.mark.parametrize(("top", "good"), [(50, True), (51, False)])
-def test_fifty_alike_are_no_heap(top, good):
+def test_fifty_alike_are_no_spike(top, good):
     plane = np.full(10_000, 0.1)
     plane[:top] = 0.6
     assert passes(plane.reshape(100, 100)) == [good] * 3
