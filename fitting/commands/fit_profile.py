@@ -1,6 +1,7 @@
 """`oceaninv fit-profile`."""
 
 import contextlib
+import dataclasses
 import itertools
 from collections.abc import Iterator
 from pathlib import Path
@@ -22,7 +23,10 @@ from fitting.commands.shared_options import (
 
 if TYPE_CHECKING:
     from fitting.core.result import Fit
+    from fitting.files.cast_file import Reading
+    from fitting.observations.profile import Profile
     from fitting.profile.archive import Task
+    from fitting.profile.kd.smooth_kd import SmoothKd
 
 # Those that are the same for every water and cheap enough to fit with.
 TRANSPORTS = {
@@ -106,99 +110,154 @@ def fit_profile_command(
     Eu, Lu and PAR are fitted where a file has them.  Of many files, or a file of many casts, -o
     names the folder of results.
     """
-    from fitting.files.cast_file import Reading, profile_of, raw_casts
+    from fitting.files.cast_file import Reading
 
     units = {} if unit is None else {kind: unit for kind in ("Ed", "Eu", "Lu", "surface")}  # noqa: C420
     reading = Reading(
         solar_zenith, units, _columns(columns), depth_offset, upward_offset, tilt_limit
     )
-    if transport is not None and tolerance is not None:
-        raise ValueError("--tolerance chooses the transport: leave out it or --transport.")
-    count, priors = _layers(layers), _known(know or [])
-    model: dict = {"tolerance": tolerance}
-    if tolerance is None:
-        # Layers asked for together with constituents are layers of these.
-        layered = kd_only is False and count != 1
-        model = {"transport": _transport(transport or ("plane-parallel" if layered else None))}
-        model |= {"layers": count} if layered else {}
-    if sample and kd_only:
-        raise ValueError("--sample draws constituents: leave out it or --kd-only.")
     depth_range = None
     if low is not None or high is not None:
         depth_range = (low or 0.0, 1e5 if high is None else high)
-    if merge or (len(paths) == 1 and cluster is None):
-        casts = [cast for path in paths for cast in raw_casts(path, reading)]
-        if merge or len(casts) == 1:
-            profiles = [profile_of(cast, reading) for cast in casts]
-            profile = profiles[0]
-            if len(profiles) > 1:
-                from fitting.profile.merge_casts import merged
+    count, priors = _layers(layers), _known(know or [])
+    wanted = _Wanted(depth_range, count, kd_only, transport, tolerance, priors, smooth, sample)
+    profile = _one_profile(paths, reading, merge, cluster)
+    if profile is None:
+        _fit_many(paths, _archive_task(wanted, reading, output, table, overwrite), cluster)
+        return
+    files = with_endings(output or Path(f"{paths[0].stem}_fit"), ".nc", ".png")
+    files += [] if table is None else [table]
+    check_outputs(files, paths, overwrite)
+    _fit_one(profile, wanted, files, overwrite)
 
-                profile = merged(profiles)
-            files = with_endings(output or Path(f"{paths[0].stem}_fit"), ".nc", ".png")
-            files += [] if table is None else [table]
-            check_outputs(files, paths, overwrite)
-            work = None if kd_only else model
-            _fit_one(profile, files, depth_range, count, work, priors, smooth, sample, overwrite)
-            return
-    if table is not None:
-        raise ValueError("--table is for one cast; archives are written as netCDF.")
-    if sample or smooth:
-        raise ValueError("--sample and --smooth are for one cast.")
+
+@dataclasses.dataclass(frozen=True)
+class _Wanted:
+    """What the options ask for; ValueError where they contradict each other.
+
+    `kd_only`: None leaves it open: constituents of one cast, Kd alone of many.
+    """
+
+    depth_range: tuple[float, float] | None
+    layers: int | None
+    kd_only: bool | None
+    transport: str | None
+    tolerance: float | None
+    priors: dict
+    smooth: bool
+    sample: bool
+
+    def __post_init__(self):
+        if self.transport is not None and self.tolerance is not None:
+            raise ValueError("--tolerance chooses the transport: leave out it or --transport.")
+        if self.sample and self.kd_only:
+            raise ValueError("--sample draws constituents: leave out it or --kd-only.")
+        _transport(self.transport)
+
+    def model(self) -> dict:
+        """Arguments of `fit_profile` for the constituents of one cast."""
+        if self.tolerance is not None:
+            return {"tolerance": self.tolerance}
+        # Layers asked for together with constituents are layers of these.
+        layered = self.kd_only is False and self.layers != 1
+        name = self.transport or ("plane-parallel" if layered else None)
+        return {"transport": _transport(name), **({"layers": self.layers} if layered else {})}
+
+
+def _one_profile(
+    paths: list[Path], reading: "Reading", merge: bool, cluster: str | None
+) -> "Profile | None":
+    """The one cast in the files, or all of them merged; None for an archive."""
+    from fitting.files.cast_file import profile_of, raw_casts
+
+    if not merge and (len(paths) > 1 or cluster is not None):
+        return None
+    casts = [cast for path in paths for cast in raw_casts(path, reading)]
+    if len(casts) == 1:
+        return profile_of(casts[0], reading)
+    if not merge:
+        return None
+    from fitting.profile.merge_casts import merged
+
+    return merged([profile_of(cast, reading) for cast in casts])
+
+
+def _archive_task(
+    wanted: _Wanted, reading: "Reading", output: Path | None, table: Path | None, overwrite: bool
+) -> "Task":
     from fitting.profile.archive import Task
 
-    if tolerance is not None and kd_only is False:
+    if table is not None:
+        raise ValueError("--table is for one cast; archives are written as netCDF.")
+    if wanted.sample or wanted.smooth:
+        raise ValueError("--sample and --smooth are for one cast.")
+    if wanted.tolerance is not None and wanted.kd_only is False:
         raise ValueError("--tolerance is for one cast; name a --transport for archives.")
-    water = _transport(transport) if kd_only is False else None
-    if priors and water is None:
+    water = _transport(wanted.transport) if wanted.kd_only is False else None
+    if wanted.priors and water is None:
         raise ValueError("--know applies to constituents: add --constituents.")
-    task = Task(output or Path("kd"), reading, depth_range, count, water, priors or None, overwrite)
-    _fit_many(paths, task, cluster)
+    folder, priors = output or Path("kd"), wanted.priors or None
+    return Task(folder, reading, wanted.depth_range, wanted.layers, water, priors, overwrite)
 
 
-def _fit_one(profile, files, depth_range, layers, model, priors, smooth, sample, overwrite) -> None:
-    """`files`: the netCDF file, the picture and, if wanted, the table to write."""
+def _fit_one(profile: "Profile", wanted: _Wanted, files: list[Path], overwrite: bool) -> None:
+    """`files`: the netCDF file, the picture and, if wanted, the table to write.
+
+    What one step finds is written even where the next one fails.
+    """
     from fitting import fit_profile
-    from fitting import sample as draw
     from fitting.report.netcdf_file import save
     from fitting.report.picture import picture
 
+    depth_range = wanted.depth_range
     if depth_range is not None and depth_range[1] > profile.depth.max():
         depth_range = (depth_range[0], float(profile.depth.max()))
     preload()
     with status("fitting Kd"):
-        fit = fit_profile(profile, depth_range=depth_range, layers=layers)
-    constituents, found, failures = None, None, []
-    if model is not None:
-        with (
-            status("fitting constituents (the first run compiles)"),
-            _noting(failures, "constituents"),
-        ):
-            constituents = fit_profile(profile, depth_range=depth_range, priors=priors, **model)
-    if smooth:
-        from fitting import smooth_kd
-
-        with status("fitting a smooth Kd(z)"), _noting(failures, "a smooth Kd(z)"):
-            found = smooth_kd(profile, depth_range)
-    if constituents is not None and sample:
-        with status("sampling the posterior (minutes)"), _noting(failures, "the posterior"):
-            constituents = draw(constituents)
+        fit = fit_profile(profile, depth_range=depth_range, layers=wanted.layers)
+    failures: list[str] = []
+    constituents = None if wanted.kd_only else _constituents(profile, wanted, depth_range, failures)
+    smooth = _smooth(profile, depth_range, failures) if wanted.smooth else None
     _print_kd(fit)
     if constituents is not None:
         print_water(constituents)
-    if found is not None:
-        layers = len(found.interfaces) + 1
-        print(f"smooth Kd(z): e^{found.evidence:+.1f} times as likely as {layers} layer(s)")
+    if smooth is not None:
+        layers = len(smooth.interfaces) + 1
+        print(f"smooth Kd(z): e^{smooth.evidence:+.1f} times as likely as {layers} layer(s)")
     data, image, *table = files
     for path in table:
         from fitting.report.spectra_table import write_spectra
 
         write_spectra(path, fit, constituents, overwrite=overwrite)
-    save(data, fit, constituents, found, overwrite=overwrite)
+    save(data, fit, constituents, smooth, overwrite=overwrite)
     picture(fit, image, constituents, overwrite=overwrite)
     print(f"wrote {' and '.join(map(str, files))}")
     if failures:
         raise ValueError("; ".join(failures))
+
+
+def _constituents(profile: "Profile", wanted: _Wanted, depth_range, failures) -> "Fit | None":
+    from fitting import fit_profile
+    from fitting import sample as draw
+
+    found = None
+    message = "fitting constituents (the first run compiles)"
+    with status(message), _noting(failures, "constituents"):
+        options = {"depth_range": depth_range, "priors": wanted.priors}
+        found = fit_profile(profile, **options, **wanted.model())
+    if found is not None and wanted.sample:
+        with status("sampling the posterior (minutes)"), _noting(failures, "the posterior"):
+            found = draw(found)
+    return found
+
+
+def _smooth(profile: "Profile", depth_range, failures) -> "SmoothKd | None":
+    from fitting import smooth_kd
+
+    found = None
+    with status("fitting a smooth Kd(z)"), _noting(failures, "a smooth Kd(z)"):
+        found = smooth_kd(profile, depth_range)
+    return found
 
 
 @contextlib.contextmanager
@@ -305,8 +364,7 @@ def _print_kd(fit: "Fit") -> None:
         scatter = "given" if noise == "given" else f"{100 * noise[i]:.1f} %"
         table.add_row(
             f"{wavelength:g}",
-            f"{kd.value[i]:.4g}",
-            f"{low[i]:.4g} - {high[i]:.4g}",
+            *_shown_kd(kd.value[i], kd.sd[i], low[i], high[i]),
             scatter,
             str(fit.metadata["depths_used"][i]),
             f"{fit.metadata['deepest_used_m'][i]:.1f}",
@@ -318,6 +376,13 @@ def _print_kd(fit: "Fit") -> None:
     for reason, number in fit.metadata["left_out"].items():
         print(f"{reason}: {number}")
     print(f"search: {fit.result}")
+
+
+def _shown_kd(value: float, sd: float, low: float, high: float) -> tuple[str, str]:
+    """Kd and its interval as text; no bare number where the data do not fix it."""
+    if not sd <= 0.5:
+        return "not identifiable", ""
+    return f"{value:.4g}", f"{low:.4g} - {high:.4g}"
 
 
 def _print_surface(fit: "Fit") -> None:

@@ -62,9 +62,9 @@ def combined(fits: list[BandFit]) -> BandFit:
     return BandFit(
         np.where(any_good[:, None], mean, first.x),
         np.where(any_good[:, None, None], covariance, first.covariance),
-        _mean(np.stack([f.noise for f in fits]), good, first.noise),
+        _mean(np.stack([f.noise for f in fits]), good, np.asarray(first.noise)),
         np.where(any_good, dof, first.dof),
-        _mean(np.stack([f.length for f in fits]), good, first.length),
+        _mean(np.stack([f.length for f in fits]), good, np.asarray(first.length)),
         _used(fits, good),
         np.where(any_good, 0, np.max([f.code for f in fits], axis=0)).astype(first.code.dtype),
     )
