@@ -21,6 +21,7 @@ from fitting.profile.fit_profile import fit_profile
 from fitting.profile.fit_profiles import ProfileFits, fit_profiles, stream_profiles
 from fitting.profile.kd.smooth_kd import SmoothKd, smooth_kd
 import fitting.report.picture  # noqa: F401  # it draws `Fit.report`
+from oceaninv import __version__  # noqa: F401
 
 __all__ = [
     "NUTS", "AbstractMedium", "Background", "Bulk", "Chart", "Fit", "Identity", "Log",

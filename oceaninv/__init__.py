@@ -8,6 +8,7 @@ from oceaninv.fidelity import Plan, plan
 from oceaninv.foundation import interface_optics as optics
 from oceaninv.foundation import spectrum, tables
 from oceaninv.foundation import former_names  # noqa: F401
+from oceaninv.foundation.provenance import version as _version
 from oceaninv.foundation.interface_optics import Rays
 from oceaninv.mie import media, particles
 from oceaninv.scene import (
@@ -22,6 +23,8 @@ from oceaninv.water import (
     Inelastic, IOPs, Layers, Minerals, Phytoplankton, Raman, attenuation, bio_optics,
     gutierrez2008, inelastic, iops, jerlov, phase)
 from oceaninv.water import mitsuba_export as mitsuba
+
+__version__ = _version()
 
 __all__ = [
     "CDOM", "BioOpticalModel", "Box", "CDOMFluorescence", "Camera", "CardioidalSky",

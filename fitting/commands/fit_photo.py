@@ -16,6 +16,7 @@ from fitting.commands.shared_options import (
     status,
     with_endings,
 )
+from oceaninv.foundation.provenance import record_inputs
 
 
 def fit_photo_command(
@@ -110,6 +111,7 @@ def fit_photo_command(
         for path, place in zip(paths, depths * (len(paths) // len(depths)), strict=True)
     ]  # fmt: skip
     check_outputs(outputs, inputs, overwrite)
+    record_inputs(inputs)
     photos, clipped = [photo for photo, _ in read], sum(count for _, count in read)
     masked = sum(photo.masked for photo in photos)
     preload()

@@ -3,6 +3,7 @@
 import contextlib
 import dataclasses
 import itertools
+import re
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -20,6 +21,7 @@ from fitting.commands.shared_options import (
     status,
     with_endings,
 )
+from oceaninv.foundation.provenance import current, record_inputs
 
 if TYPE_CHECKING:
     from fitting.core.result import Fit
@@ -123,11 +125,12 @@ def fit_profile_command(
     wanted = _Wanted(depth_range, count, kd_only, transport, tolerance, priors, smooth, sample)
     profile = _one_profile(paths, reading, merge, cluster)
     if profile is None:
-        _fit_many(paths, _archive_task(wanted, reading, output, table, overwrite), cluster)
+        _fit_many(paths, _archive_task(wanted, reading, output, table, overwrite, paths), cluster)
         return
     files = with_endings(output or Path(f"{paths[0].stem}_fit"), ".nc", ".png")
     files += [] if table is None else [table]
     check_outputs(files, paths, overwrite)
+    record_inputs(paths)
     _fit_one(profile, wanted, files, overwrite)
 
 
@@ -183,7 +186,12 @@ def _one_profile(
 
 
 def _archive_task(
-    wanted: _Wanted, reading: "Reading", output: Path | None, table: Path | None, overwrite: bool
+    wanted: _Wanted,
+    reading: "Reading",
+    output: Path | None,
+    table: Path | None,
+    overwrite: bool,
+    paths: list[Path],
 ) -> "Task":
     from fitting.profile.archive import Task
 
@@ -196,8 +204,31 @@ def _archive_task(
     water = _transport(wanted.transport) if wanted.kd_only is False else None
     if wanted.priors and water is None:
         raise ValueError("--know applies to constituents: add --constituents.")
-    folder, priors = output or Path("kd"), wanted.priors or None
-    return Task(folder, reading, wanted.depth_range, wanted.layers, water, priors, overwrite)
+    return Task(
+        output or Path("kd"),
+        reading,
+        wanted.depth_range,
+        wanted.layers,
+        water,
+        wanted.priors or None,
+        overwrite,
+        _arguments_that_count(paths),
+    )
+
+
+def _arguments_that_count(paths: list[Path]) -> tuple[str, ...] | None:
+    """The arguments of the command but for files, folder and workers: numbers do not depend on
+    these."""
+    given = current().arguments
+    if given is None:
+        return None
+    kept, words = [], iter(given)
+    for word in words:
+        if word in ("-o", "--output", "--cluster"):
+            next(words, None)
+        elif not (re.match("-o|--output=|--cluster=|--overwrite$", word) or Path(word) in paths):
+            kept.append(word)
+    return tuple(kept)
 
 
 def _fit_one(profile: "Profile", wanted: _Wanted, files: list[Path], overwrite: bool) -> None:
@@ -396,10 +427,10 @@ def _print_surface(fit: "Fit") -> None:
         table.add_column("nm", justify="right")
         for name in named:
             table.add_column(f"{name} ({fit.quantities[name].unit})", justify="right")
-        ends = {name: fit.quantities[name].interval() for name in named}
+        ends = [(fit.quantities[n].sd, *fit.quantities[n].interval()) for n in named]
         for i, wavelength in enumerate(fit.wavelength):
-            spans = [f"{low[i]:.3g} - {high[i]:.3g}" for low, high in ends.values()]
-            table.add_row(f"{wavelength:g}", *("" if "nan" in s else s for s in spans))
+            spans = [_shown_kd(1.0, sds[i], low[i], high[i])[1] for sds, low, high in ends]
+            table.add_row(f"{wavelength:g}", *spans)
         Console().print(table)
     for name in ("PAR_0", "Z_10", "Z_eu"):
         if name in fit.quantities:

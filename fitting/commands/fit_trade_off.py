@@ -14,7 +14,9 @@ from fitting.core.result import Fit
 from fitting.observations.profile import Profile
 from fitting.profile.fit_profile import fit_profile
 from oceaninv.fidelity.planning import model_label
-from oceaninv.foundation.atomic_write import atomic_write, checksum_line, save_figure, with_checksum
+from oceaninv.foundation import provenance
+from oceaninv.foundation.atomic_write import atomic_write, checksum_line, with_checksum
+from oceaninv.foundation.figure_file import save_figure
 
 TRANSPORTS = (oi.TwoStream(), oi.FourStream(), *(oi.PlaneParallel(n, 1) for n in (4, 8, 16)))
 TOLERANCES = (0.1, 0.03)
@@ -76,7 +78,7 @@ def save_fits(path: Path, rows: list[FitRow], *, overwrite: bool = False) -> Non
     """The rows as csv."""
     names = list(rows[0].value)
     file = io.StringIO()
-    file.write(f"# {checksum_line()}\n")
+    file.writelines(f"# {line}\n" for line in [checksum_line(), *provenance.current().lines])
     writer = csv.writer(file, lineterminator="\n")
     parts = ("", "_low", "_high", "_shift_sd")
     heads = [f"{name}{part}" for name in names for part in parts]

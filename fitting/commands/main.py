@@ -4,10 +4,12 @@ import os
 import sys
 import warnings
 from pathlib import Path
+from typing import Annotated
 
 import typer
 
 from fitting.commands import check, fit_photo, fit_profile, plan_and_trade, read_charts, render
+from oceaninv.foundation.provenance import Provenance, recording, version
 
 INPUT_ERROR = 3
 
@@ -28,8 +30,21 @@ app.command("read-charts")(read_charts.read_charts_command)
 app.command("check")(check.check_command)
 
 
+def _print_version(asked: bool | None) -> None:
+    if asked:
+        print(f"oceaninv {version()}")
+        raise typer.Exit
+
+
 @app.callback()
-def _commands() -> None:
+def _commands(
+    asked: Annotated[
+        bool | None,
+        typer.Option(
+            "--version", callback=_print_version, is_eager=True, help="Print the version and exit."
+        ),
+    ] = None,
+) -> None:
     """Water constituents from underwater light, with honest intervals."""
 
 
@@ -76,7 +91,8 @@ def run(arguments: list[str]) -> int:
     A UserWarning is printed as its sentence; other warnings, which name lines of code, are not.
     """
     try:
-        with warnings.catch_warnings():
+        made_by = Provenance(tuple(arguments))
+        with recording(made_by), warnings.catch_warnings():
             warnings.simplefilter("always", UserWarning)
             warnings.showwarning = _show_warning
             app(arguments, standalone_mode=True)

@@ -1,11 +1,13 @@
 """`oceaninv plan` and `oceaninv trade`."""
 
+import html
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from fitting.commands.shared_options import Overwrite, check_outputs, status, with_endings
+from oceaninv.foundation.provenance import record_inputs
 
 SceneFile = Annotated[Path, typer.Argument(help="Scene file (toml).")]
 Quantity = Annotated[str, typer.Option(help="irradiance, radiance or photograph.")]
@@ -69,6 +71,7 @@ def trade_command(
         _trade_of_scene(paths[0], stem, quantity, repeats, inelastic, overwrite)
         return
     from oceaninv.fidelity.trade_off import how_to_choose, load_rows
+    from oceaninv.foundation import provenance
     from oceaninv.foundation.atomic_write import atomic_write, checksum_line, with_checksum
 
     folder = output or Path("trade")
@@ -78,10 +81,13 @@ def trade_command(
     table = folder / f"choose_{quantity}.md"
     outputs = [file for stem in stems for file in with_endings(stem, ".csv", ".png")]
     check_outputs([*outputs, table], paths, overwrite)
+    record_inputs(paths)
     for path, stem in zip(paths, stems, strict=True):
         _trade_of_scene(path, stem, quantity, repeats, inelastic, overwrite)
     found = sorted(folder.glob(f"*_{quantity}.csv"))
-    text = f"<!-- {checksum_line()} -->\n" + how_to_choose([load_rows(path) for path in found])
+    made_by = html.escape("\n".join(provenance.current().lines))
+    rows = how_to_choose([load_rows(path) for path in found])
+    text = f"<!-- {checksum_line()}\n{made_by} -->\n{rows}"
     with atomic_write(table, overwrite=overwrite) as temporary:
         temporary.write_text(with_checksum(text))
     print(f"wrote {table}")
@@ -100,6 +106,7 @@ def _trade_of_scene(
     stem.parent.mkdir(parents=True, exist_ok=True)
     data, image = with_endings(stem, ".csv", ".png")
     check_outputs([data, image], file.files, overwrite)
+    record_inputs(file.files)
     if inelastic:
         glow = oi.Inelastic(oi.Raman(), oi.ChlorophyllFluorescence())
         scene, title = dataclasses.replace(scene, inelastic=glow), f"{title}, inelastic"
@@ -140,6 +147,7 @@ def _trade_of_fit(path: Path, output: Path | None, repeats: int, overwrite: bool
 
     data, image = with_endings(output or Path(f"{path.stem}_trade"), ".csv", ".png")
     check_outputs([data, image], [path], overwrite)
+    record_inputs([path])
     profile = read_cast(path)
     with status("fitting through every transport"):
         rows = measure_fits(profile, repeats)

@@ -6,6 +6,7 @@ from typing import Annotated
 import typer
 
 from fitting.commands.shared_options import Overwrite, check_outputs, with_endings
+from oceaninv.foundation.provenance import record_inputs
 
 
 def read_charts_command(
@@ -63,6 +64,7 @@ def read_charts_command(
     named = [Path(kind) for _, kind, *_ in asked if kind.lower().endswith(".csv")]
     inputs = [path, *([] if range_map is None else [range_map]), *named]
     check_outputs([data, image], inputs, overwrite)
+    record_inputs(inputs)
     photograph = read_photograph(path, encoding)
     ranges = None
     if range_map is not None:

@@ -6,6 +6,7 @@ from typing import Annotated, Any
 import typer
 
 from fitting.commands.shared_options import Overwrite, check_outputs
+from oceaninv.foundation.provenance import record_inputs
 
 _TRANSPORTS = ("two-stream", "four-stream", "kd", "plane-parallel", "monte-carlo")
 
@@ -66,6 +67,7 @@ def render_command(
     if animate is not None:
         frames = _frames(found, output, animate, rise, seconds)
     check_outputs([target for target, _ in frames], found.files, overwrite)
+    record_inputs(found.files)
     with Progress(console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task(found.title, total=len(frames))
         for i, (target, frame) in enumerate(frames):

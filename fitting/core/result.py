@@ -11,6 +11,7 @@ from jaxtyping import Float
 
 from fitting.core.diagnostics import ModelChoice, SamplerDiagnostics, Status
 from fitting.core.parameters import Log, Parameter, Parameters
+from oceaninv.foundation.provenance import without_folders
 
 if TYPE_CHECKING:
     import xarray
@@ -244,8 +245,13 @@ class Fit:
 
     @property
     def facts(self) -> dict[str, Any]:
-        """`metadata`, with `noise_factor`, `plan` and `sampling` where the fit has them."""
+        """`metadata`, with `noise_factor`, `plan` and `sampling` where the fit has them.
+
+        Of the source its name alone: the folders of a machine do not belong into results.
+        """
         found = dict(self.metadata)
+        if "source" in found:
+            found["source"] = without_folders(str(found["source"]))
         if self.noise_factor is not None:
             found["noise_factor"] = self.noise_factor
         if self.plan is not None:
@@ -461,6 +467,7 @@ def _content(fit: Fit) -> tuple[dict, dict, dict]:
     attributes = {
         "Conventions": "CF-1.11",
         "title": "Fit of underwater light by oceaninv",
+        "source": without_folders(str(fit.metadata.get("source", ""))),
         "result": fit.result,
         "metadata": fit.metadata_json(),
     }

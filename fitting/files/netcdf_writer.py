@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from oceaninv.foundation.atomic_write import MARK
+from oceaninv.foundation import provenance
 
 Variables = Mapping[str, Any]
 
@@ -22,7 +22,8 @@ def write(
     """Add variables to a netCDF-4 file, made if need be; arguments as of `xarray.Dataset`.
 
     A variable is (dims, values) or (dims, values, attributes), dims a name or a tuple of names; an
-    array alone lies along the dimension of its own name.  `mark`: a file that oceaninv may replace.
+    array alone lies along the dimension of its own name.  `mark`: a file that oceaninv may replace,
+    with attributes that say what made it (`oceaninv.foundation.provenance`).
     """
     import h5netcdf
 
@@ -49,7 +50,8 @@ def write(
             made.attrs.update(notes)
         place.attrs.update(attributes)
         if mark:
-            place.attrs["history"] = MARK
+            made_by = provenance.current()
+            place.attrs.update({"history": made_by.history, **made_by.facts})
 
 
 def _described(name: str, variable) -> tuple[tuple[str, ...], np.ndarray, Mapping[str, Any]]:

@@ -14,7 +14,9 @@ from fitting.images.chart_targets import Target, target
 from fitting.images.photograph_file import Photograph
 from fitting.images.quality_checks import hidden_clipping
 from fitting.observations.photo import WAVELENGTH
-from oceaninv.foundation.atomic_write import checksum_line, save_figure, with_checksum
+from oceaninv.foundation import provenance
+from oceaninv.foundation.atomic_write import checksum_line, with_checksum
+from oceaninv.foundation.figure_file import save_figure
 
 if TYPE_CHECKING:
     from fitting.observations.photo import Chart
@@ -273,7 +275,7 @@ def table_of(
     if lamp:
         facts.append("# light: lamp")
     lines = [
-        f"# {checksum_line()}",
+        *(f"# {line}" for line in [checksum_line(), *provenance.current().lines]),
         f"# title: Readings of charts and open water in {Path(photograph.source).name}",
         "# units: kind=text, chart=text, target=text, range=m, zenith=degree, *=1",
         *facts,

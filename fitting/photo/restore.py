@@ -14,7 +14,7 @@ import oceaninv as oi
 from fitting.core.result import Fit
 from fitting.images.photograph_file import Photograph
 from fitting.photo.forward_model import light_up
-from oceaninv.foundation.atomic_write import save_figure
+from oceaninv.foundation.figure_file import save_figure
 
 _RANGES = 48
 _TILTS = 7
@@ -57,10 +57,14 @@ class Restored:
 
         paths = restored_paths(Path(stem))
         write = functools.partial(write_image, overwrite=overwrite)
-        write(paths[0], self.reflectance, ["R", "G", "B"], "float", "reflectance, linear")
+        write(
+            paths[0], self.reflectance, ["R", "G", "B"], "float", {"values": "reflectance, linear"}
+        )
         # Pixels without range, or of mostly noise, are black.
         seen = np.where((self.noise < 50.0)[:, :, None], self.reflectance, 0.0)
-        write(paths[1], display(seen), ["R", "G", "B"], "uint8", "reflectance, gamma 2.2")
+        write(
+            paths[1], display(seen), ["R", "G", "B"], "uint8", {"values": "reflectance, gamma 2.2"}
+        )
         self._draw_residual(paths[2], overwrite)
         return paths
 

@@ -12,6 +12,7 @@ from fitting.files.cast_file import Reading, profile_of, raw_casts
 from fitting.observations.profile import Profile
 from fitting.profile.fit_profiles import ProfileFits, fit_profiles
 from oceaninv.foundation.atomic_write import atomic_write, check_replaceable
+from oceaninv.foundation.provenance import Provenance, recording, sha256
 from oceaninv.transport.base import AbstractTransport
 
 # Files that are read, fitted together and written before the next ones.
@@ -37,7 +38,9 @@ class Outcome:
 class Task:
     """How to read and fit; `depth_range` to `priors` as for `fit_profiles`.
 
-    `overwrite`: replace files of the results' names that oceaninv did not write.
+    `overwrite`: replace files of the results' names that oceaninv did not write; `arguments`: those
+    of the command that each result names, without files, folder and workers: results are equal
+    whatever these are.
     """
 
     folder: Path
@@ -47,6 +50,7 @@ class Task:
     transport: AbstractTransport | None = None
     priors: dict[str, Parameter] | None = None
     overwrite: bool = False
+    arguments: tuple[str, ...] | None = None
 
 
 def result_path(path: Path, folder: Path) -> Path:
@@ -93,7 +97,9 @@ def fit_group(paths: Sequence[Path], task: Task, x64: bool) -> list[Outcome]:
         fitted = len(profiles) - len(own.failures)
         target = result_path(path, task.folder) if fitted else None
         if target is not None:
-            _write(own, target, task.overwrite)
+            made_by = Provenance(task.arguments, ((path.name, sha256(path)),))
+            with recording(made_by):
+                _write(own, target, task.overwrite)
         outcomes.append(Outcome(path, target, fitted, tuple(problems)))
     return outcomes
 

@@ -16,6 +16,7 @@ from fitting.profile.kd.batching import fit_windows
 from fitting.profile.kd.cast import Cast, cast_of
 from fitting.profile.kd.reflectances import cast_quantities
 from fitting.profile.kd.result import check_light_falls, kd_fit, light_depths
+from oceaninv.foundation.provenance import without_folders
 from oceaninv.transport.base import AbstractTransport
 
 if TYPE_CHECKING:
@@ -117,13 +118,16 @@ class ProfileFits:
             "flag_meanings": "absent converged step_limit not_finite",
         }
         every = {**self.water_failures, **self.failures}
-        failures = np.array([every.get(i, "") for i in range(len(self))], dtype=str)
+        failures = np.array(
+            [without_folders(every.get(i, "")) for i in range(len(self))], dtype=str
+        )
+        sources = [without_folders(source) for source in self._sources]
         spectral = {"units": "nm", "standard_name": "radiation_wavelength"}
         return (
             {
                 **table.variables(),
                 "search": (("cast", "wavelength"), code, notes),
-                "source": ("cast", np.array(self._sources, dtype=str), {"long_name": "source"}),
+                "source": ("cast", np.array(sources, dtype=str), {"long_name": "source"}),
                 "failure": (
                     "cast",
                     failures,

@@ -6,7 +6,8 @@ import numpy as np
 
 from fitting.core.result import LEVEL, Fit, Quantity
 from fitting.report._bulk_picture import draw_coefficients
-from oceaninv.foundation.atomic_write import save_figure
+from oceaninv.foundation.figure_file import save_figure
+from oceaninv.foundation.provenance import without_folders
 
 
 def picture(
@@ -39,8 +40,7 @@ def picture(
         _draw_spectra(spectra, fit, constituents)
     _draw_unknowns(unknowns, constituents or fit, fit)
     # Do not print absolute local paths in a picture: pictures are shared.
-    sources = str(fit.metadata.get("source", "")).split("; ")
-    title = "; ".join(Path(one).name if Path(one).is_absolute() else one for one in sources)
+    title = without_folders(str(fit.metadata.get("source", "")))
     figure.suptitle(title, fontsize=9, color="0.35")
     save_figure(figure, path, dpi=130, overwrite=overwrite)
 

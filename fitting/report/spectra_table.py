@@ -6,6 +6,7 @@ import numpy as np
 
 from fitting.core.result import LEVEL, Fit
 from fitting.files.seabass import seabass_text
+from oceaninv.foundation import provenance
 from oceaninv.foundation.atomic_write import atomic_write, checksum_line, with_checksum
 
 # As SeaBASS spells them.
@@ -40,8 +41,11 @@ def write_spectra(
                 columns.append(column)
     table = np.stack(columns, axis=1)
     comments = [*_scalars(fit), *(_scalars(constituents) if constituents is not None else [])]
-    comments += [f"Kd: {fit.metadata['kd_definition']}", f"source: {fit.metadata['source']}"]
-    comments.insert(0, checksum_line())
+    comments += [
+        f"Kd: {fit.metadata['kd_definition']}",
+    ]
+    comments.append(f"source: {provenance.without_folders(fit.metadata['source'])}")
+    comments[:0] = [checksum_line(), *provenance.current().lines]
     if path.suffix == ".sb":
         unknown = ("investigators", "affiliations", "contact", "experiment", "cruise")
         header = dict.fromkeys(unknown, "NA") | {"data_type": "cast", "data_status": "final"}

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from fitting.core.result import LEVEL, Fit, Number, sensitivity_text
 from fitting.report.picture import picture
+from oceaninv.foundation import provenance
 from oceaninv.foundation.atomic_write import atomic_write, checksum_line, with_checksum
 
 _STYLE = (
@@ -42,7 +43,7 @@ def write_html(
     facts = "".join(
         f"<tr><td>{html.escape(k.replace('_', ' '))}</td><td style='text-align:left'>"
         f"{html.escape(f'{v:.3g}' if isinstance(v, float) else str(v))}</td></tr>"
-        for k, v in fit.facts.items()
+        for k, v in {**fit.facts, **provenance.current().facts}.items()
     )
     with tempfile.TemporaryDirectory() as folder:
         drawn = Path(folder) / "fit.png"

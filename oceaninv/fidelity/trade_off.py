@@ -14,7 +14,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from oceaninv.fidelity.candidate_models import CandidateModel, candidate_models, references
-from oceaninv.foundation.atomic_write import atomic_write, checksum_line, save_figure, with_checksum
+from oceaninv.foundation import provenance
+from oceaninv.foundation.atomic_write import atomic_write, checksum_line, with_checksum
+from oceaninv.foundation.figure_file import save_figure
 from oceaninv.scene.camera import Camera
 from oceaninv.scene.scene import Scene
 from oceaninv.water.attenuation import kd_lee2005
@@ -197,6 +199,7 @@ def save_rows(path: Path, trade: Trade, *, overwrite: bool = False) -> None:
         f"# {trade.title}: {trade.quantity}; error of the reference {trade.reference} itself: "
         f"{trade.reference_error:.2g}\n# {checksum_line()}\n"
     )
+    file.writelines(f"# {line}\n" for line in provenance.current().lines)
     writer = csv.writer(file, lineterminator="\n")
     writer.writerow(("model", "seconds", "compile_seconds", "error", "best"))
     for row in trade.rows:

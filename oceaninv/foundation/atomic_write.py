@@ -79,15 +79,6 @@ def _checksum(content: bytes) -> bytes:
     return hashlib.sha256(blank).hexdigest()[:16].encode()
 
 
-def save_figure(figure, path: str | Path, *, dpi: int, overwrite: bool = False) -> None:
-    """Write a matplotlib figure as PNG; ValueError for names that end otherwise."""
-    path = Path(path)
-    if path.suffix.lower() != ".png":
-        raise ValueError(f"cannot write {path}: name a file that ends in .png.")
-    with atomic_write(path, overwrite=overwrite) as temporary:
-        figure.savefig(temporary, dpi=dpi, metadata={"Software": MARK})
-
-
 def _temporary_beside(path: Path) -> Path:
     """An empty file beside `path`; ValueError where there can be none."""
     if not path.parent.is_dir():

@@ -1,9 +1,13 @@
 """Pictures as files, by OpenImageIO."""
 
+import json
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
+from oceaninv.foundation import provenance
 from oceaninv.foundation.atomic_write import MARK, atomic_write
 
 
@@ -12,17 +16,22 @@ def write_image(
     values: np.ndarray,
     names: list[str],
     bits: str,
-    note: str,
+    note: Mapping[str, Any],
     *,
     overwrite: bool = False,
 ) -> None:
+    """Write `values` (row, column, channel), whose channels are `names`.
+
+    `bits`: float, uint16 or uint8; `note`: what the picture is, which stands as JSON, with what
+    made it, in the description of the image.
+    """
     import OpenImageIO as oiio
 
     height, width, count = values.shape
     spec = oiio.ImageSpec(width, height, count, bits)
     spec.channelnames = tuple(names)
-    spec.attribute("ImageDescription", note)
-    spec.attribute("Software", MARK)
+    spec.attribute("ImageDescription", json.dumps({**note, **provenance.current().facts}))
+    spec.attribute("Software", f"{MARK} {provenance.version()}")
     if bits == "uint8":
         spec.attribute("oiio:ColorSpace", "sRGB")
     with atomic_write(path, overwrite=overwrite) as draft:

@@ -1,10 +1,9 @@
 """Scenes drawn piece by piece, and pictures as files: EXR, TIFF, PNG."""
 
 import dataclasses
-import json
-from collections.abc import Callable
-from importlib.metadata import PackageNotFoundError, version
+from collections.abc import Callable, Mapping
 from pathlib import Path
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -12,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from oceaninv.fidelity.planning import expected_error
-from oceaninv.foundation import spectrum
+from oceaninv.foundation import provenance, spectrum
 from oceaninv.foundation.interface_optics import Rays
 from oceaninv.rendering.image_writer import write_image
 from oceaninv.scene import objects
@@ -194,35 +193,28 @@ def _predicted(found: SceneFile, transport) -> dict:
     return {"predicted_error": float(f"{error:.2g}"), "predicted_error_covers": covered}
 
 
-def metadata(path: Path, found: SceneFile, transport, seed: int, picture: Picture) -> str:
-    """How a picture was made, as JSON."""
-    names = ("oceaninv", "jax")
-    versions = {}
-    for name in names:
-        try:
-            versions[name] = version(name)
-        except PackageNotFoundError:
-            versions[name] = "not installed"
+def metadata(
+    path: Path, found: SceneFile, transport, seed: int, picture: Picture
+) -> dict[str, Any]:
+    """How a picture was made."""
     inner = getattr(transport, "base", transport)
-    return json.dumps(
-        {
-            "scene": path.name,
-            "title": found.title,
-            "transport": type(inner).__name__,
-            **_predicted(found, inner),
-            "largest_stderr": round(picture.stderr, 6),
-            "seed": seed,
-            "bands_nm": [round(float(w), 3) for w in found.scene.wavelength],
-            "versions": versions,
-        }
-    )
+    return {
+        "scene": path.name,
+        "title": found.title,
+        "transport": type(inner).__name__,
+        **_predicted(found, inner),
+        "largest_stderr": round(picture.stderr, 6),
+        "seed": seed,
+        "bands_nm": [round(float(w), 3) for w in found.scene.wavelength],
+        "versions": {"oceaninv": provenance.version(), "jax": jax.__version__},
+    }
 
 
 def save(
     path: Path,
     found: SceneFile,
     picture: Picture,
-    note: str,
+    note: Mapping[str, Any],
     *,
     linear: bool,
     spectral: bool,

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import xarray as xr
 
+import oceaninv
 from fitting import Profile, fit_profile
 from fitting.commands import main as cli
 from fitting.report import netcdf_file
@@ -151,7 +152,7 @@ def test_python_does_not_replace_files_of_others_either(tmp_path):
         fit.report(tmp_path / "fit")
     # Another program that adds to a result keeps its attributes; the picture is what it was.
     with xr.open_dataset(tmp_path / "fit.nc") as data:
-        assert data.attrs["history"] == "written by oceaninv"
+        assert data.attrs["history"] == f"written by oceaninv {oceaninv.__version__}"
 
 
 def test_a_failed_write_keeps_the_old_file_and_no_temporary(tmp_path):

@@ -1,0 +1,178 @@
+"""Every file that a command writes says which version, command and input files made it."""
+
+import hashlib
+import json
+from pathlib import Path
+
+import h5netcdf
+import jax
+import numpy as np
+import OpenImageIO as oiio
+import pytest
+
+import fitting
+import oceaninv
+from fitting.commands import main as cli
+from fitting.files.csv_sheet import read_sheet
+from fitting.images.photo_csv import read_photo
+from oceaninv.foundation import provenance
+from oceaninv.foundation.atomic_write import is_own
+from tests.fitting.commands.test_output_files import CAST
+from tests.fitting.images.test_chart_reading import CORNERS, painted
+from tests.fitting.images.test_photo_csv import PHOTO
+from tests.fitting.images.test_photograph_file import IMAGE, write
+from tests.paths import SCENES
+
+
+def digest(path):
+    return hashlib.sha256(Path(path).read_bytes()).hexdigest()
+
+
+def test_the_version_is_said(capsys):
+    assert cli.run(["--version"]) == 0
+    assert capsys.readouterr().out == f"oceaninv {oceaninv.__version__}\n"
+    assert fitting.__version__ == oceaninv.__version__ == provenance.version() == "0.2.0"
+
+
+@pytest.mark.parametrize(
+    ("given", "kept"),
+    [
+        ("/home/me/dives/cast.csv", "cast.csv"),
+        ("~/dives/cast.csv", "cast.csv"),
+        ("/home/me/my dives/cast 2.csv", "cast 2.csv"),
+        ("/home/me/kd/", "kd"),
+        ("C:\\Users\\me\\cast.csv", "cast.csv"),
+        ("-o/home/me/kd", "-okd"),
+        ("--output=/home/me/my dives/kd", "--output=kd"),
+        ("/a/one.csv; /b/two.csv", "one.csv; two.csv"),
+        ("/a/one.csv and 2 more", "one.csv and 2 more"),
+        ("A /home/me/chart.csv 4.65 1,2 3,4", "A chart.csv 4.65 1,2 3,4"),
+        ("dives/cast.csv", "dives/cast.csv"),
+        ("../cast.csv", "../cast.csv"),
+        ("tcp://127.0.0.1:8786", "tcp://127.0.0.1:8786"),
+        ("W/m^2/nm", "W/m^2/nm"),
+        ("cdom=0.12+-0.01", "cdom=0.12+-0.01"),
+    ],
+)
+def test_folders_of_absolute_paths_are_left_out(given, kept):
+    assert provenance.without_folders(given) == kept
+
+
+def test_what_a_block_records_ends_with_it(tmp_path):
+    path = tmp_path / "a\nb.csv"
+    path.write_text("a")
+    with provenance.recording(provenance.Provenance(("x\ny",))):
+        provenance.record_inputs([path, path, tmp_path / "absent"])
+        assert provenance.current().inputs == ((path.name, digest(path)),)
+        assert provenance.current().lines[1:] == [
+            "command_line: oceaninv 'x y'",
+            f"input_files: a b.csv (SHA-256 {digest(path)})",
+        ]
+    assert provenance.current() == provenance.Provenance()
+    assert provenance.current().lines == ["oceaninv_version: 0.2.0"]
+
+
+def facts_of(path):
+    """The provenance that a file of any kind states."""
+    if path.suffix == ".nc":
+        with h5netcdf.File(path) as data:
+            assert data.attrs["history"].startswith("written by oceaninv 0.2.0: oceaninv ")
+            return dict(data.attrs)
+    if path.suffix == ".csv":
+        return read_sheet(path).header
+    if path.suffix in (".png", ".exr", ".tif"):
+        spec = oiio.ImageInput.open(str(path)).spec()
+        if note := spec.getattribute("ImageDescription"):
+            return json.loads(note)
+        lines = spec.getattribute("Comment").splitlines()
+        return dict(line.split(": ", 1) for line in lines)
+    text = path.read_text()
+    names = ("oceaninv_version", "command_line", "input_files")
+    if path.suffix == ".html":
+        cut = "</td><td style='text-align:left'>"
+        return {n: text.split(n.replace("_", " ") + cut)[1].split("</td>")[0] for n in names}
+    return {n: text.split(f"{n}: ")[1].splitlines()[0] for n in names}
+
+
+def commands(folder):
+    """(arguments, inputs, outputs)."""
+    profile = ["fit-profile", str(folder / "cast.csv"), "--kd-only"]
+    for table in ("t.csv", "t.sb"):
+        outputs = [f"fit{table}.nc", f"fit{table}.png", table]
+        stem = str(folder / f"fit{table}")
+        yield [*profile, "-o", stem, "--table", str(folder / table)], ["cast.csv"], outputs
+    corners = " ".join(f"{x},{y}" for x, y in CORNERS)
+    chart = ["--chart", f"A ColorChecker24 2 {corners}", "--encoding", "linear"]
+    yield (
+        ["read-charts", str(folder / "chart.png"), *chart, "-o", str(folder / "charts")],
+        ["chart.png"],
+        ["charts.csv", "charts_patches.png"],
+    )
+    for name in ("a.png", "a.exr", "a.tif"):
+        scene = ["render", str(folder / "scene.toml"), "--width", "8", "--bands", "3"]
+        yield [*scene, "-o", str(folder / name)], ["scene.toml"], [name]
+
+
+def test_every_result_names_version_command_and_inputs(tmp_path, capsys):
+    (tmp_path / "cast.csv").write_text(CAST)
+    (tmp_path / "scene.toml").write_text((SCENES / "green_coast.toml").read_text())
+    write(tmp_path / "chart.png", painted()[0].values, "uint16")
+    for arguments, inputs, outputs in commands(tmp_path):
+        assert cli.run(arguments) == 0, capsys.readouterr().err
+        for name in outputs:
+            facts = facts_of(tmp_path / name)
+            assert facts["oceaninv_version"] == "0.2.0", name
+            assert facts["command_line"].startswith(f"oceaninv {arguments[0]} {inputs[0]} "), name
+            assert str(tmp_path) not in facts["command_line"]
+            for path in inputs:
+                assert f"{path} (SHA-256 {digest(tmp_path / path)})" in facts["input_files"], name
+            assert is_own(tmp_path / name)
+            assert str(tmp_path).encode() not in (tmp_path / name).read_bytes(), name
+
+
+@pytest.mark.slow
+def test_pages_and_restored_pictures_name_them_too(tmp_path, capsys):
+    write(tmp_path / "dive.png", IMAGE, "uint16")
+    np.savez(tmp_path / "range.npz", np.full(IMAGE.shape[:2], 3.0))
+    (tmp_path / "dive.csv").write_text(PHOTO)
+    arguments = ["fit-photo", str(tmp_path / "dive.csv"), "--depth", "5", "--report"]
+    arguments += ["--picture", str(tmp_path / "dive.png")]
+    arguments += ["--range-map", str(tmp_path / "range.npz"), "-o", str(tmp_path / "water")]
+    assert cli.run(arguments) == 0, capsys.readouterr().err
+    made = [path for path in tmp_path.iterdir() if path.name.startswith("water")]
+    assert len(made) == 6
+    for path in made:
+        facts = facts_of(path)
+        assert facts["command_line"].startswith("oceaninv fit-photo dive.csv --depth 5 --report")
+        for name in ("dive.csv", "dive.png", "range.npz"):
+            assert f"{name} (SHA-256 {digest(tmp_path / name)})" in facts["input_files"], path
+        assert str(tmp_path).encode() not in path.read_bytes(), path
+
+
+def test_readings_with_their_provenance_are_read_as_before(tmp_path):
+    (tmp_path / "a.csv").write_text(PHOTO)
+    (tmp_path / "b.csv").write_text("# command_line: oceaninv x --light lamp\n" + PHOTO)
+    (one, _), (two, _) = (read_photo(tmp_path / name, 5.0) for name in ("a.csv", "b.csv"))
+    np.testing.assert_array_equal(one.charts[0].values, two.charts[0].values)
+    assert one.lamp == two.lamp
+
+
+def test_results_of_archives_are_equal_bit_by_bit(tmp_path, capsys):
+    """Whatever the folder and the company of a cast is, and whether its run was resumed."""
+    for i in range(3):
+        (tmp_path / f"{i}.csv").write_text(CAST.replace("5,", f"{5 + i},"))
+    paths = [str(tmp_path / f"{i}.csv") for i in range(3)]
+    options = ["--from", "1", "--columns", "Ed_490=Ed_490"]
+    one, two = tmp_path / "one", tmp_path / "two"
+    with jax.enable_x64(True):
+        assert cli.run(["fit-profile", *paths, "-o", str(one), *options]) == 0
+        assert cli.run(["fit-profile", *paths[:2], *options, "--output", str(two)]) == 0
+        assert cli.run(["fit-profile", *options, *paths, "--overwrite", f"-o{two}"]) == 0
+    assert "2 files were done before" in capsys.readouterr().out
+    for i in range(3):
+        name = f"{i}.csv.kd.nc"
+        assert (one / name).read_bytes() == (two / name).read_bytes()
+        assert str(tmp_path).encode() not in (one / name).read_bytes()
+        facts = facts_of(one / name)
+        assert facts["command_line"] == "oceaninv fit-profile --from 1 --columns Ed_490=Ed_490"
+        assert facts["input_files"] == f"{i}.csv (SHA-256 {digest(paths[i])})"
