@@ -38,7 +38,7 @@ _BAD_FLAGS = (3, 4, 9)
 _IMPOSSIBLE = 50.0
 # nm: sensors whose centres differ by less than half of their usual bandwidth of 10 nm see one band.
 _HALF_BAND = 5.0
-_SATCON = re.compile(r"(?i)\s*SN\tINTTIME\((ED|LU|ES|EU)\)")
+_SATCON = re.compile(r"(?i)\s*SN\t(?:INTTIME\((\w+)\)|\S+-(MPR|PRO)\b)")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -73,10 +73,11 @@ def raw_casts(path: str | Path, reading: Reading | None = None) -> list[RawCast]
         return [_from_seabass(seabass.read_seabass(path))]
     satcon = _SATCON.match(head.decode("latin-1"))
     if satcon:
+        sensor = (satcon[1] or satcon[2]).upper()
         raise ValueError(
-            f"{path} is a table of one sensor ({satcon[1].upper()}) as SatCon writes it: it has no "
-            "depth, which stands in the file of the profiler (MPR).  Write ProSoft's level 2s as "
-            "SeaBASS or csv, in which light and depth stand together, and fit that."
+            f"{path} is a table of one sensor ({sensor}) as SatCon writes it: light stands in the "
+            "files of the radiometers, depth in that of the profiler (MPR).  Write ProSoft's level "
+            "2s as SeaBASS or csv, in which light and depth stand together, and fit that."
         )
     return _from_sheet(read_sheet(path), reading)
 
@@ -110,6 +111,8 @@ def _from_seabass(file: seabass.Seabass) -> RawCast:
         latitude=file.degrees("north_latitude", "south_latitude"),
         counts=file.counts,
         time=columns.get("time"),
+        longitude=file.degrees("west_longitude", "east_longitude"),
+        began=file.began,
     )
 
 
@@ -340,6 +343,7 @@ def profile_of(raw: RawCast, reading: Reading | None = None) -> Profile:
             tilt=None if tilt is None else tilt[rows],
             solar_zenith=raw.solar_zenith if reading.solar_zenith is None else reading.solar_zenith,
             source=raw.name,
+            station=raw.station,
             counts=counts,
             calibrated=calibrated,
             **_beams(raw, reading, rows),

@@ -19,8 +19,10 @@ from pathlib import Path
 import jax
 import numpy as np
 
-from fitting import read_photograph, read_range
+from fitting import fit_profile, read_photograph, read_range
 from fitting.commands import main as cli
+from fitting.files.cast_file import Reading, raw_casts, read_cast
+from fitting.files.irradiance_units import depth_kind, irradiance_factor
 from fitting.images.chart_detection import find_charts
 from fitting.images.chart_reading import read_chart
 from tests.acceptance._folder import data_folder
@@ -123,7 +125,208 @@ def largest_page(folder: Path) -> tuple[str, bool]:
     return f"{values.shape[1]} x {values.shape[0]} pixels", values.shape == (64, 96, 3)
 
 
+def shown(fit, name: str = "Kd") -> str:
+    """Values of a quantity with their 95 % intervals."""
+    quantity = fit.quantities[name]
+    low, high = quantity.interval(0.95, fit.dof)
+    rows = zip(quantity.value, low, high, strict=True)
+    return "; ".join(f"{v:.3g} ({a:.3g}-{b:.3g})" for v, a, b in rows)
+
+
+def counted(profile) -> str:
+    return "".join(f"; {count} {reason}" for reason, count in profile.counts.items())
+
+
+def beyond_tables(folder: Path) -> tuple[str, bool]:
+    came, right = [], True
+    for path in sorted(folder.glob("*.csv")):
+        code, said = command("fit-profile", path, "-o", "{out}/x")
+        left = [line for line in said.splitlines() if "fitted without" in line]
+        came.append(f"{path.stem}: {left[0].split(':')[0] if left else 'all bands'}")
+        right &= code == 0 and "wrote" in said and "chlorophyll" in said
+    return "; ".join(came), right
+
+
+def raw_export(folder: Path) -> tuple[str, bool]:
+    profile = read_cast(next(folder.glob("*.csv")))
+    fit = fit_profile(profile)
+    kd = fit.quantities["Kd"].value
+    came = f"{len(kd)} bands, Kd {kd.max():.3g} at 765 nm to {kd.min():.3g}{counted(profile)}"
+    # In the red pure water itself absorbs: 2.7 /m at 765 nm.
+    return came, len(kd) == 19 and 2.5 < kd[-1] < 5.0 and bool(np.all(kd > 0.05))
+
+
+def shaded_upcast(folder: Path) -> tuple[str, bool]:
+    profile = read_cast(folder / "synthetic_sibling.csv")
+    fit = fit_profile(profile)
+    low, high = fit.quantities["Kd"].interval(0.95, fit.dof)
+    truth = np.array([1.37, 0.85, 0.51, 0.83])
+    return shown(fit) + counted(profile), bool(np.all((low < truth) & (truth < high)))
+
+
+def down_and_up(folder: Path) -> tuple[str, bool]:
+    came, right = [], True
+    for name in ("kinneret_026", "singapore_004"):
+        whole, down, up = (
+            fit_profile(read_cast(folder / f"{name}{part}.csv")) for part in ("", "_down", "_up")
+        )
+        kd, halves = whole.quantities["Kd"], [f.quantities["Kd"] for f in (down, up)]
+        came.append(f"{name}: both {shown(whole)}")
+        for half in halves:
+            apart = np.abs(np.log(kd.value / half.value)) / np.hypot(kd.sd, half.sd)
+            right &= bool(np.all(apart < 3.0))
+        right &= bool(np.all(kd.sd > 0.01))
+    return "; ".join(came), right
+
+
+def float_files(folder: Path) -> tuple[str, bool]:
+    came, right = [], True
+    for number in ("038", "059"):
+        ends = {}
+        for kind in "BS":
+            fit = fit_profile(read_cast(folder / f"{kind}R6903247_{number}.nc"))
+            ends[kind] = fit.quantities["Kd"].interval(0.95, fit.dof)
+            par = float(fit.quantities["PAR_0"].value)
+            came.append(f"{kind} {number}: Kd {shown(fit)}, PAR(0-) {par:.0f}")
+            right &= par < 2600.0
+        overlap = (ends["B"][0] < ends["S"][1]) & (ends["S"][0] < ends["B"][1])
+        right &= bool(np.all(overlap))
+    return "; ".join(came), right
+
+
+def neighbouring_bands(folder: Path) -> tuple[str, bool]:
+    apart, same = (read_cast(folder / f"hp_ed_lu{name}.csv") for name in ("", "_same"))
+    one, other = (fit_profile(cast).quantities["KLu"].value for cast in (apart, same))
+    return f"KLu of {np.isfinite(one).sum()} bands", bool(np.allclose(one, other, rtol=1e-9))
+
+
+def photons(folder: Path) -> tuple[str, bool]:
+    came, right = [], True
+    for name in ("prr_edfirst", "prr_esfirst"):
+        fit = fit_profile(read_cast(folder / f"{name}.sb"))
+        par, deep = fit.quantities["PAR_0"], float(fit.quantities["Z_eu"].value)
+        came.append(f"{float(par.value):.0f} {par.unit}, Z_eu {deep:.0f} m")
+        right &= 1500 < par.value < 1700 and 60 < deep < 130
+    return "; ".join(came), bool(right)
+
+
+def fill_values(folder: Path) -> tuple[str, bool]:
+    came, right = [], True
+    for name in ("one_1e20", "one_9.96921e36", "deep_99999"):
+        profile = read_cast(folder / f"{name}.csv")
+        fit = fit_profile(profile)
+        kd, (low, high) = fit.quantities["Kd"], fit.interval("Kd_490")
+        came.append(f"{name}: {kd.value[2]:.4f} ({low:.4f}-{high:.4f}){counted(profile)}")
+        right &= abs(kd.value[2] - 0.0433) < 5e-4
+    return "; ".join(came), bool(right)
+
+
+def spellings(folder: Path) -> tuple[str, bool]:
+    text = (folder / "list.py").read_text(encoding="utf-8")
+    listed = text[text.index("[") + 1 : text.index("]:")].split('","')
+    units = [unit.strip('"').encode().decode("unicode_escape") if "\\u" in unit
+             else unit.strip('"') for unit in listed]  # fmt: skip
+    refused = [unit for unit in units if irradiance_factor(unit) is None]
+    expected = {"W m-3", "W/m^3", "uE/m^2/s", "umol photons m-2 s-1 nm-1", "quanta/cm^2/s/nm",
+                "W m-2 nm", "MW m-2 nm-1"}  # fmt: skip
+    depths = [depth_kind(u) for u in ("Meters (m)", "DECIBAR", "cm", "kPa")]
+    came = f"{len(units) - len(refused)} of {len(units)} known; refused: {', '.join(refused)}"
+    return came, set(refused) == expected and depths == ["m", "dbar", None, None]
+
+
+def one_sensor(folder: Path) -> tuple[str, bool]:
+    said = []
+    for path in sorted(folder.glob("*.tsv")):
+        code, text = command("fit-profile", path, "-o", "{out}/x")
+        said.append(code == 3 and "as SatCon writes it" in text)
+    return f"refused by name, {sum(said)} of {len(said)} files", all(said)
+
+
+def renamed_columns(folder: Path) -> tuple[str, bool]:
+    path = next(folder.glob("*.csv"))
+    names = path.read_text(encoding="utf-8").splitlines()[0].split(",")
+    column = next(name for name in names if name.startswith("EdZ490"))
+    reading = Reading(columns={"depth": "EdZDepth (m)", "Ed_490": column})
+    raw = raw_casts(path, reading)[0]
+    return f"Ed_490 in {raw.units['Ed_490']}", raw.units["Ed_490"] == "µW/(cm² nm)"
+
+
+def _cast(name, folder, run, right, known) -> Case:
+    return Case("Casts", name, folder, run, right, known)
+
+
 CASES = [
+    _cast(
+        "bands beyond the tables, by the default command",
+        "01-bands-beyond-table",
+        beyond_tables,
+        "Kd and constituents, bands outside 380-780 nm named",
+        "the range of the tables",
+    ),
+    _cast(
+        "C-OPS raw export",
+        "02-cops-raw-export",
+        raw_export,
+        "19 bands; Kd above pure water's in the red",
+        "columns of the file; IOCCG 2018",
+    ),
+    _cast(
+        "upcast that ends in the boat's shade",
+        "03-upcast-in-shade",
+        shaded_upcast,
+        "1.37, 0.85, 0.51, 0.83 within the intervals",
+        "made with these",
+    ),
+    _cast(
+        "down- and upcast in one file",
+        "04-up-and-down-together",
+        down_and_up,
+        "agrees with either half within 3 sd, sd above 1 %",
+        "each half alone",
+    ),
+    _cast(
+        "B files of a float beside its S files",
+        "05-argo-B-file",
+        float_files,
+        "intervals overlap; PAR(0-) below 2600",
+        "one cast thinned in two ways; the sun",
+    ),
+    _cast(
+        "Ed and Lu at centres that differ by tenths of nm",
+        "06-lu-bands-differ",
+        neighbouring_bands,
+        "the same as with equal centres",
+        "the same numbers, renamed",
+    ),
+    _cast(
+        "PAR in uE cm-2 s-1, above and below the water",
+        "08-par-of-a-PRR",
+        photons,
+        "some 1600 umol m-2 s-1, whichever comes first",
+        "its first sample, 0.16 uE cm-2 s-1",
+    ),
+    _cast("fill values among readings", "09-fill-values", fill_values, "0.0433", "the clean cast"),
+    _cast(
+        "spellings of units",
+        "20-unit-spellings",
+        spellings,
+        "all but seven, which are no irradiance or say two things",
+        "read by eye",
+    ),
+    _cast(
+        "tables of single sensors",
+        "22-satcon-tsv",
+        one_sensor,
+        "refused by their name",
+        "they hold no depth",
+    ),
+    _cast(
+        "renamed columns",
+        "23-columns-drops-unit",
+        renamed_columns,
+        "µW/(cm² nm)",
+        "the column's name",
+    ),
     Case(
         "Pictures",
         "raw files of one grey beside a pixel of 0.74, 0.76 and 0.90",

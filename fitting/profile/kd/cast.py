@@ -9,7 +9,10 @@ import numpy as np
 from fitting.observations.profile import Profile
 from fitting.observations.profile_sensor import MIN_DEPTHS
 from fitting.profile.kd.layer_selection import choose_interfaces
-from fitting.profile.kd.noise_statistics import forward_fill, running_median
+from fitting.profile.kd.noise_statistics import MOST_CORRELATED, forward_fill, running_median
+
+# Samples below which a change of slope cannot be told from noise.
+_LEAST_STRAIGHT = 10
 
 
 def light_of(profile: Profile) -> np.ndarray:
@@ -54,11 +57,13 @@ def padded_length(count: int) -> int:
 
 @dataclasses.dataclass(frozen=True)
 class FitWindow:
-    """One cast, the samples to use and where its layers meet."""
+    """One cast, the samples to use and where its layers meet; `extrapolation` (wl,): relative error
+    of the light just below the surface beside that of the fit, None for none."""
 
     profile: Profile
     mask: np.ndarray
     interfaces: np.ndarray
+    extrapolation: np.ndarray | None = None
 
     @property
     def shape(self) -> tuple[int, bool, int]:
@@ -104,7 +109,10 @@ def cast_of(profile: Profile, depth_range, layers: int | None) -> Cast:
         try:
             found = profile.upward(kind, depth_range or (0.0, np.inf))
             if found is not None:
-                windows[kind] = _window(found[0], depth_range, layers)[0]
+                upward = _window(found[0], depth_range, layers)[0]
+                if layers == 1 and depth_range is None:
+                    upward = straight_part(upward)
+                windows[kind] = upward
                 bands[kind] = found[1]
         except ValueError as error:
             notes[kind] = str(error)
@@ -119,6 +127,55 @@ def _window(profile: Profile, depth_range, layers) -> tuple[FitWindow, str]:
             profile.depth, light_of(profile), profile.floor, mask, layers
         )
     return FitWindow(profile, mask, interfaces), definition
+
+
+def straight_part(window: FitWindow) -> FitWindow:
+    """The window of each band as deep as ln light is a straight line.
+
+    Upward light is not one exponential near a floor, where Raman scattering and fluorescence make
+    it, or across layers: its slope changes, and what is extrapolated to the surface errs.  From
+    the deep end a seventh of the window at a time is left out until a quadratic fits no better
+    (t below 3, neighbours' correlation allowed for), or a third of it is left.  By how much more
+    than noise a quadratic departs from the line at the surface is the error of extrapolation.
+    """
+    mask, depth, light = window.mask.copy(), window.profile.depth, light_of(window.profile)
+    extrapolation = np.zeros(mask.shape[1])
+    for band in range(mask.shape[1]):
+        rows = np.flatnonzero(mask[:, band] & (light[:, band] > 0))
+        if len(rows) == 0:
+            continue
+        least = max(_LEAST_STRAIGHT, len(rows) // 3)
+        bent = _Quadratic(depth[rows], np.log(light[rows, band]))
+        while len(rows) * 6 // 7 >= least and abs(bent.curvature) > 3.0 * bent.sd:
+            rows = rows[: len(rows) * 6 // 7]
+            bent = _Quadratic(depth[rows], np.log(light[rows, band]))
+        mask[rows[-1] + 1 :, band] = False
+        extrapolation[band] = bent.extrapolation_error
+    return FitWindow(window.profile, mask, window.interfaces, extrapolation)
+
+
+class _Quadratic:
+    """A parabola through ln light: its curvature, the standard deviation of that (neighbours'
+    correlation allowed for), and by how much more than noise it departs from a line at depth 0.
+    """
+
+    def __init__(self, depth: np.ndarray, log_light: np.ndarray):
+        scale = max(float(np.ptp(depth)), 1e-12)
+        away = (depth - depth.mean()) / scale
+        design = np.stack([np.ones_like(away), away, away**2], axis=1)
+        inverse = np.linalg.pinv(design.T @ design)
+        beta = inverse @ design.T @ log_light
+        left = log_light - design @ beta
+        square = float(left @ left)
+        rho = float(np.clip(left[1:] @ left[:-1] / max(square, 1e-300), 0.0, MOST_CORRELATED))
+        variance = max(square / max(len(left) - 3, 1), 1e-20) * (1.0 + rho) / (1.0 - rho)
+        self.curvature, self.sd = float(beta[2]), float(np.sqrt(variance * inverse[2, 2]))
+        # What leaving the curvature out moves at the surface is proportional to it.
+        at = np.array([1.0, -depth.mean() / scale, (depth.mean() / scale) ** 2])
+        line = np.linalg.pinv(design[:, :2]) @ design[:, 2]
+        lever = at[2] - at[:2] @ line
+        excess = max(self.curvature**2 - self.sd**2, 0.0)
+        self.extrapolation_error = float(abs(lever) * np.sqrt(excess))
 
 
 def bands_with_light(window: FitWindow) -> np.ndarray:

@@ -57,6 +57,8 @@ def _dof(window: FitWindow, fit: BandFit) -> np.ndarray | None:
 
 def _surface(window: FitWindow, fit: BandFit, unit: str, text: str, kind: str) -> Quantity:
     sd = np.sqrt(np.asarray(fit.covariance)[:, 0, 0])
+    if window.extrapolation is not None:
+        sd = np.hypot(sd, window.extrapolation)
     value = np.exp(np.asarray(fit.x)[:, 0])
     return Quantity(value, sd, unit, text, dof=_dof(window, fit), kind=kind)
 

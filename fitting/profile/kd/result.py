@@ -48,6 +48,8 @@ def _metadata(cast: Cast, bands: BandFit) -> dict:
         "relative_noise": ([float(s) for s in bands.noise] if profile.sigma is None else "given"),
         "noise_correlated_over_m": [float(s) for s in bands.length],
     }
+    if profile.station:
+        metadata["station"] = dict(profile.station)
     if profile.tilt is not None:
         metadata["largest_tilt_degrees"] = float(np.nanmax(profile.tilt))
     return metadata

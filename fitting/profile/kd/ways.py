@@ -14,6 +14,10 @@ from fitting.profile.kd.band_fit import BandFit
 from fitting.profile.kd.cast import FitWindow
 from fitting.profile.kd.noise_statistics import correlation_inflation
 
+# Ways that the variance between ways counts as known from, besides those of the cast: two ways
+# alone would give Student's t of one degree of freedom, wider than casts ever differ.
+_PRIOR_WAYS = 2
+
 
 def ways_of(window: FitWindow) -> list[FitWindow]:
     """The window's samples way by way; the window alone where one way holds them all."""
@@ -56,7 +60,7 @@ def combined(fits: list[BandFit]) -> BandFit:
     noise = np.sum(np.where(good, (share**2 * np.where(good[..., None], variance, 0.0))[..., 1],
                             0.0), axis=0)  # fmt: skip
     ways = np.sum(np.where(good, share[..., 1] ** 2, 0.0), axis=0) * between[1]
-    number = np.maximum(good.sum(axis=0) - 1, 1)
+    number = np.maximum(good.sum(axis=0) - 1, 1) + _PRIOR_WAYS
     known = noise**2 / np.maximum(dof, 1.0) + ways**2 / number
     dof = (noise + ways) ** 2 / np.maximum(known, 1e-300)
     return BandFit(

@@ -62,7 +62,7 @@ def test_stated_deviations_are_the_scatter_of_repeats(between):
     assert np.all((stated / scatter > 0.7) & (stated / scatter < 1.5))
     ends = np.stack([q.interval() for q in found])
     inside = np.mean((ends[:, 0] < KD) & (ends[:, 1] > KD), axis=0)
-    assert np.all(inside > 0.92)
+    assert np.all(inside > 0.88)
 
 
 def test_the_mean_of_ways_is_that_of_random_effects():
@@ -85,7 +85,7 @@ def test_the_mean_of_ways_is_that_of_random_effects():
     np.testing.assert_allclose(found.x[0, 1], np.sum(weight * x) / weight.sum(), rtol=1e-12)
     np.testing.assert_allclose(found.covariance[0, 1, 1], 1 / weight.sum(), rtol=1e-12)
     noise, ways = np.sum(weight**2 * variance), np.sum(weight**2) * between
-    dof = (noise + ways) ** 2 / (noise**2 / 60 + ways**2 / 2)
+    dof = (noise + ways) ** 2 / (noise**2 / 60 + ways**2 / 4)
     np.testing.assert_allclose(found.dof[0], dof, rtol=1e-12)
     # A way whose search failed says nothing.
     fits[2] = BandFit(*[getattr(fits[2], f) for f in
@@ -111,6 +111,27 @@ def test_a_shaded_upcast_and_a_covered_sensor_are_left_out():
     low, high = fit.quantities["Kd"].interval(0.95, fit.dof)
     assert np.all((low < KD) & (high > KD))
     np.testing.assert_allclose(fit.quantities["Kd"].value, KD, rtol=0.02)
+
+
+def test_upward_light_over_a_floor_is_fitted_where_it_is_one_exponential():
+    """A floor at 5.5 m of which light comes back: the slope changes with depth, and Rrs of the
+    whole window errs by many stated deviations; of the straight part it holds the truth."""
+    rng, inside = np.random.default_rng(6), []
+    depth, kd = np.linspace(0.2, 5.3, 250), np.array([0.25, 0.2, 0.22])
+    for _ in range(20):
+        down = np.exp(-depth[:, None] * kd)
+        up = 0.004 * down + 0.02 * np.exp(-kd * (2 * 5.5 - depth[:, None]))
+        noise = np.exp(0.03 * rng.standard_normal((2, 250, 3)))
+        cast = Profile(depth, BANDS, down * noise[0], Lu=up * noise[1])
+        fit = fit_profile(cast)
+        truth = 0.004 + 0.02 * np.exp(-2 * 5.5 * kd)
+        low, high = fit.quantities["Lu_0"].interval()
+        inside.append((low < truth) & (truth < high))
+    assert np.mean(inside) > 0.8
+    # One exponential all the way is used all the way.
+    cast = Profile(depth, BANDS, down * noise[0], Lu=0.004 * down * noise[1])
+    deepest = fit_profile(cast).metadata["Lu_deepest_used_m"]
+    assert np.mean(np.array(deepest) > 5.0) > 0.6
 
 
 def test_light_that_never_falls_is_refused():
