@@ -1,5 +1,6 @@
-"""Least squares with priors: the solver that all fits share, and its cross-check."""
+"""Least squares with priors: the solver that all fits share."""
 
+import abc
 from collections.abc import Callable
 from typing import Any
 
@@ -7,7 +8,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from fitting.core.diagnostics import Status
 
@@ -60,52 +61,111 @@ def _materialised(primal, tangent):
     return jnp.zeros_like(primal) if inexact else np.zeros(primal.shape, jax.dtypes.float0)
 
 
+class AbstractSolver(eqx.Module):
+    """A method of another library than optimistix, as the argument `solver` of a fit."""
+
+    @abc.abstractmethod
+    def minimise(
+        self,
+        residual: Residual,
+        start: Float[Array, " unknown"],
+        args: Any,
+        scale: Float[Array, " unknown"],
+        max_steps: int,
+    ) -> tuple[Float[Array, " unknown"], Bool[Array, " unknown"]]:
+        """Where |residual(x, args)|^2 is least, and which coordinates lie on a bound there.
+
+        Arguments as for `least_squares`.  Runs inside a compiled program.
+        """
+
+
+def check_solver(solver: Any) -> None:
+    """TypeError where `solver` is none that `least_squares` takes."""
+    if solver is None or isinstance(solver, AbstractSolver):
+        return
+    import optimistix as optx
+
+    kinds = (optx.AbstractLeastSquaresSolver, optx.AbstractMinimiser)
+    if isinstance(solver, kinds):
+        return
+    if isinstance(solver, type) and issubclass(solver, (*kinds, AbstractSolver)):
+        numbers = "" if issubclass(solver, AbstractSolver) else "rtol=1e-6, atol=1e-6"
+        name = solver.__name__
+        raise TypeError(f"solver is the class {name}; give an instance, as {name}({numbers}).")
+    raise TypeError(
+        f"solver is {solver!r}; give a least-squares solver or a minimiser of optimistix, as "
+        "optimistix.BFGS(rtol=1e-6, atol=1e-6), or fitting.core.jaxopt_solver.BoundedSolver()."
+    )
+
+
 def least_squares(
     residual: Residual,
     start: Float[Array, " unknown"],
     args: Any = None,
     scale: Float[Array, " unknown"] | None = None,
     max_steps: int = 400,
+    solver: Any = None,
 ) -> Optimum:
-    """Minimise |residual(x, args)|^2 by Levenberg-Marquardt with forward-mode derivatives.
+    """Minimise |residual(x, args)|^2, by Levenberg-Marquardt with forward-mode derivatives unless
+    another solver is given.
 
     `scale`: expected size of each coordinate's change, 1 unless given; the damping is equal in
     these units.  A search has converged when the remaining step of the linearised problem is below
-    a thousandth of a standard deviation.
+    a thousandth of a standard deviation, whatever the solver.
+
+    `solver`: an `optimistix.AbstractLeastSquaresSolver`, an `optimistix.AbstractMinimiser`, which
+    sees half the sum of squares and may take ten times as many steps, or an `AbstractSolver`.
+    Their tolerances are in units of `scale`.
 
     Pure: jit and vmap it; a search that fails returns a code instead of raising.
     """
+    unit = jnp.ones_like(start) if scale is None else scale.astype(start.dtype)
+    if isinstance(solver, AbstractSolver):
+        found, on_bound = solver.minimise(residual, start, args, unit, max_steps)
+        x = jax.lax.stop_gradient(found)
+        value, slope = value_and_jacobian(lambda x: residual(x, args), x)
+    else:
+        x, value, slope = _by_optimistix(residual, start, args, unit, max_steps, solver)
+        on_bound = None
+    finite = jnp.all(jnp.isfinite(value)) & jnp.all(jnp.isfinite(slope))
+    downhill = jnp.where(finite, value @ slope, 0.0)
+    usable = jnp.where(finite, slope, 0.0)
+    if on_bound is not None:
+        downhill, usable = jnp.where(on_bound, 0.0, downhill), jnp.where(on_bound, 0.0, usable)
+    remaining = downhill @ covariance(usable) @ downhill
+    ended = jnp.where(remaining <= REMAINING**2, Status.CONVERGED, Status.STEP_LIMIT)
+    code = jnp.where(finite, ended, Status.MODEL_NOT_FINITE)
+    return Optimum(x, value, slope, code.astype(jnp.int32))
+
+
+def _by_optimistix(residual, start, args, unit, max_steps: int, solver):
+    """Where a solver of optimistix ends, with the residual and its Jacobian there."""
     # Stored programs need no solver, so a command that finds them is spared this import.
     import optimistix as optx
 
     from fitting.core._trust_region import LevenbergMarquardt
 
-    unit = jnp.ones_like(start) if scale is None else scale.astype(start.dtype)
-
     def misfit(u, args):
         origin, unit, args = args
         return residual(origin + unit * u, args)
 
+    solver = LevenbergMarquardt() if solver is None else solver
     solution = optx.least_squares(
         _with_matrix(misfit),
-        LevenbergMarquardt(),
+        solver,
         jnp.zeros_like(start),
         (*jax.lax.stop_gradient((start, unit)), args),
         options={"jac": "fwd"},
-        max_steps=max_steps,
+        max_steps=10 * max_steps if isinstance(solver, optx.AbstractMinimiser) else max_steps,
         throw=False,
         adjoint=optx.ImplicitAdjoint(),
     )
+    x = start + unit * solution.value
+    if not isinstance(solver, optx.AbstractGaussNewton):
+        return x, *value_and_jacobian(lambda x: residual(x, args), x)
     # The solver's last linearisation is that of the optimum: no second Jacobian to compile.
     last = solution.state.f_info
-    value, slope = last.residual, last.jac.as_matrix() / unit[None, :]
-    finite = jnp.all(jnp.isfinite(value)) & jnp.all(jnp.isfinite(slope))
-    downhill = jnp.where(finite, value @ slope, 0.0)
-    usable = jnp.where(finite, slope, 0.0)
-    remaining = downhill @ covariance(usable) @ downhill
-    ended = jnp.where(remaining <= REMAINING**2, Status.CONVERGED, Status.STEP_LIMIT)
-    code = jnp.where(finite, ended, Status.MODEL_NOT_FINITE)
-    return Optimum(start + unit * solution.value, value, slope, code.astype(jnp.int32))
+    return x, last.residual, last.jac.as_matrix() / unit[None, :]
 
 
 def value_and_jacobian(function: Callable, x: Float[Array, " unknown"]):
@@ -184,48 +244,3 @@ def curvature(
 
     derived = jax.tree.map(of_tree, of_derived, slopes)
     return SecondOrderError(standard_deviation(pull), derived)
-
-
-def cross_check(
-    residual: Residual,
-    start: Float[Array, " unknown"],
-    args: Any = None,
-    reach: float = 1e3,
-    rounds: int = 3,
-) -> Float[Array, " unknown"]:
-    """The same optimum by another method: jaxopt's bound-constrained L-BFGS (SciPy's).
-
-    Each round works in coordinates in which the linearised problem has unit covariance, inside a
-    box of +- `reach` standard deviations; strongly nonlinear problems need several rounds.
-    Independent of `least_squares` in method, derivatives (reverse mode) and library.
-    """
-    import warnings
-
-    with warnings.catch_warnings():
-        # jaxopt announces its retirement at import; the notice is not about this call.
-        warnings.simplefilter("ignore", DeprecationWarning)
-        import jaxopt
-
-    @jax.jit
-    def objective(u, centre, axes):
-        def half_square(u):
-            r = residual(centre + axes @ u, args)
-            return 0.5 * jnp.sum(r * r)
-
-        return jax.value_and_grad(half_square)(u)
-
-    @jax.jit
-    def round_axes(x):
-        slope = value_and_jacobian(lambda x: residual(x, args), x)[1]
-        return jnp.linalg.cholesky(covariance(slope))
-
-    # Its loops run outside the program: compiled, they would hold a dozen copies of the model.
-    solver = jaxopt.ScipyBoundedMinimize(
-        fun=objective, value_and_grad=True, method="L-BFGS-B", tol=1e-10, maxiter=500
-    )
-    zero = jnp.zeros_like(start)
-    x = start
-    for _ in range(rounds):
-        axes = round_axes(x)
-        x = x + axes @ solver.run(zero, (zero - reach, zero + reach), x, axes).params
-    return x

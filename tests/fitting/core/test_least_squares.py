@@ -1,14 +1,16 @@
-"""The least-squares solver and its cross-check."""
+"""The least-squares solver."""
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+import optimistix as optx
 import pytest
 
 from fitting.core.diagnostics import Status
+from fitting.core.jaxopt_solver import BoundedSolver
 from fitting.core.least_squares import (
+    check_solver,
     covariance,
-    cross_check,
     curvature,
     least_squares,
     value_and_jacobian,
@@ -60,11 +62,40 @@ def test_the_optimum_is_scipys():
     np.testing.assert_allclose(found.jacobian, by_scipy.jac, rtol=1e-4, atol=1e-4)
 
 
-def test_cross_check_by_another_library_agrees():
+@pytest.mark.parametrize(
+    ("solver", "apart"),
+    [
+        (optx.LevenbergMarquardt(1e-8, 1e-8), 1e-8),
+        (optx.Dogleg(1e-8, 1e-8), 1e-8),
+        (optx.BFGS(1e-8, 1e-8), 1e-8),
+        (optx.LBFGS(1e-8, 1e-8), 1e-8),
+        (BoundedSolver(), 1e-8),
+    ],
+    ids=lambda one: type(one).__name__,
+)
+def test_another_solver_ends_at_the_same_optimum(solver, apart):
     data = decay_data(3)
     found = SOLVE(START, data)
-    other = cross_check(decay, START, data)
-    np.testing.assert_allclose(other, found.x, atol=1e-4 * 0.02)
+    other = jax.jit(lambda data: least_squares(decay, START, data, 0.5 * UNIT, solver=solver))(data)
+    assert int(other.code) == Status.CONVERGED
+    np.testing.assert_allclose(other.x, found.x, atol=apart)
+    np.testing.assert_allclose(other.residual, decay(other.x, data), atol=1e-10)
+    np.testing.assert_allclose(other.jacobian, found.jacobian, rtol=1e-5, atol=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("solver", "words"),
+    [
+        (optx.BFGS, r"the class BFGS; give an instance, as BFGS\(rtol=1e-6"),
+        (BoundedSolver, r"the class BoundedSolver; give an instance, as BoundedSolver\(\)"),
+        ("BFGS", r"solver is 'BFGS'; give a least-squares solver or a minimiser of optimistix"),
+        (optx.Newton(1e-6, 1e-6), "Newton.*; give a least-squares solver or a minimiser"),
+    ],
+    ids=["class", "class of jaxopt", "string", "root finder"],
+)
+def test_what_is_no_solver_is_refused_in_a_sentence(solver, words):
+    with pytest.raises(TypeError, match=words):
+        check_solver(solver)
 
 
 def test_a_search_that_fails_returns_a_code_and_spares_the_rest_of_its_batch():
