@@ -1,0 +1,107 @@
+"""MkDocs hook: pages that are made from files of the repository whenever the site is built.
+
+Acceptance tables, benchmarks, errata, keys of scene files, the change log and the guide for
+contributors are taken as they stand in the repository, help texts from the command itself, so that
+the site cannot differ from them.
+"""
+
+import os
+import re
+from pathlib import Path
+
+from mkdocs.config.defaults import MkDocsConfig
+from mkdocs.structure.files import File, Files, InclusionLevel
+
+ROOT = Path(__file__).parents[1]
+TABLES = {"acceptance": "Acceptance", "benchmarks": "Benchmarks"}
+COPIES = {
+    "physics/errata.md": "ERRATA.md",
+    "files/scenes.md": "scenes/README.md",
+    "develop/contributing.md": "CONTRIBUTING.md",
+    "develop/conduct.md": "CODE_OF_CONDUCT.md",
+    "develop/changelog.md": "CHANGELOG.md",
+}
+PICTURES = [
+    "pictures/gallery.png",
+    "pictures/red_sea_charts.png",
+    "pictures/waters.png",
+    "trade/clear_irradiance.png",
+    "trade/clear_photograph.png",
+]
+
+
+def on_files(files: Files, config: MkDocsConfig) -> Files:
+    """Adds the pages and pictures to those of the folder `docs`."""
+    pages = {page: copied(page, source) for page, source in COPIES.items()} | table_pages()
+    pages["command_line.md"] = command_line()
+    for name, content in pages.items():
+        listed = not name.startswith(tuple(f"trust/{folder}/" for folder in TABLES))
+        level = InclusionLevel.INCLUDED if listed else InclusionLevel.NOT_IN_NAV
+        files.append(File.generated(config, name, content=content, inclusion=level))
+    for name in PICTURES:
+        source = str(ROOT / "scenes" / name)
+        files.append(File.generated(config, f"images/{Path(name).name}", abs_src_path=source))
+    return files
+
+
+def copied(page: str, source: str) -> str:
+    """The text of `source`, a file of the repository, with its links as seen from `page`."""
+    pages = {file: name for name, file in COPIES.items()}
+
+    def link(found: re.Match[str]) -> str:
+        target = pages.get(found[1], found[1].removeprefix("docs/"))
+        return f"]({os.path.relpath(target, Path(page).parent)})"
+
+    return re.sub(r"\]\(([\w/.]+\.md)\)", link, (ROOT / source).read_text(encoding="utf-8"))
+
+
+def table_pages() -> dict[str, str]:
+    """Every acceptance table and benchmark as a page, and the list of them."""
+    pages, index = {}, ["# Tables", "", LIST_OF_TABLES]
+    for folder, title in TABLES.items():
+        index += ["", f"## {title}", ""]
+        for path in sorted((ROOT / "tests" / folder).glob("*.md")):
+            if path.stem == "README":
+                continue
+            text = path.read_text(encoding="utf-8")
+            heading = text.splitlines()[0].removeprefix("# ")
+            pages[f"trust/{folder}/{path.name}"] = f"{HIDDEN}{text}"
+            index.append(f"- [{path.stem}]({folder}/{path.name}): {heading}")
+    index += ["", "## How the acceptance tables come about", ""]
+    scripts = (ROOT / "tests" / "acceptance" / "README.md").read_text(encoding="utf-8")
+    index.append(scripts.partition("\n")[2])
+    pages["trust/tables.md"] = "\n".join(index)
+    return pages
+
+
+# Pages of tables are reached from the list of them, not from the menu.
+HIDDEN = "---\nhide: [navigation]\n---\n\n"
+LIST_OF_TABLES = (
+    "Each table below was written by a script of the repository and is shown as it was committed. "
+    "A script compares oceaninv with an exact solution, an independent program, or measurements."
+)
+
+
+def command_line() -> str:
+    """The help of all commands, as Typer writes it in Markdown."""
+    import typer
+    from typer.main import get_command
+
+    from fitting.commands.main import app
+
+    command = get_command(app)
+    lines = ["# Command line", "", "The text below is what `oceaninv COMMAND --help` says.", ""]
+    context = typer.Context(command, info_name="oceaninv")
+    for name in command.list_commands(context):
+        one = command.get_command(context, name)
+        inner = typer.Context(one, info_name=name, parent=context)
+        lines += [f"## oceaninv {name}", "", one.help or "", "", "```text"]
+        lines += [one.get_usage(inner).removeprefix("Usage: "), "```", ""]
+        lines += ["| option | what it does |", "|---|---|"]
+        for parameter in one.get_params(inner):
+            record = parameter.get_help_record(inner)
+            if record is not None:
+                option, text = (part.replace("|", "\\|").replace("\n", " ") for part in record)
+                lines.append(f"| `{option}` | {text} |")
+        lines.append("")
+    return "\n".join(lines)
