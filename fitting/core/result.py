@@ -386,6 +386,37 @@ STANDARD_NAMES = {
 }
 
 
+# Lists in a fit's metadata with a number per band, as variables: name, unit, long name.
+_OF_BANDS = {
+    "depths_used": ("depths_used", "1", "number of depths that were used"),
+    "deepest_used_m": ("deepest_used", "m", "deepest depth that was used"),
+    "dark_level": ("dark_level", "W m-2 nm-1", "reading in darkness, 0 where it is not reached"),
+    "relative_noise": ("relative_noise", "1", "standard deviation of a reading over the light"),
+    "noise_correlated_over_m": (
+        "noise_correlation_length",
+        "m",
+        "distance over which the noise is correlated",
+    ),
+    "runs_test_p": (
+        "runs_test_p",
+        "1",
+        "probability of runs of residuals as long as those found if the model is right",
+    ),
+}
+
+
+def _of_bands(fit: Fit) -> dict:
+    """Variables over wavelength from the fit's metadata."""
+    found = {}
+    for key, (name, unit, long_name) in _OF_BANDS.items():
+        values = fit.metadata.get(key)
+        if isinstance(values, list) and len(values) == len(fit.wavelength):
+            notes = {"units": unit, "long_name": long_name}
+            dtype = np.int32 if key == "depths_used" else float
+            found[name] = ("wavelength", np.array(values, dtype), notes)
+    return found
+
+
 def dataset(fit: Fit) -> "xarray.Dataset":
     """Parameters, quantities and observations of a fit with CF attributes.
 
@@ -435,6 +466,7 @@ def _content(fit: Fit) -> tuple[dict, dict, dict]:
         for suffix, value in (("low", below), ("high", above)):
             text = f"{suffix} end of the 95 % interval of {name}"
             data[f"{name}_{suffix}"] = (dims, value, {"units": quantity.unit, "long_name": text})
+    data |= _of_bands(fit)
     predictive = fit.posterior_predictive
     label = "Ed" if "depth" in predictive.axes else "reading"
     for suffix, value in (
@@ -464,8 +496,11 @@ def _content(fit: Fit) -> tuple[dict, dict, dict]:
         coords["channel"] = np.array(["R", "G", "B"], dtype=str)
     if "coefficient" in predictive.axes:
         coords["coefficient"] = predictive.coords["coefficient"]
+    profile = {"featureType": "profile"} if "depth" in predictive.axes else {}
     attributes = {
         "Conventions": "CF-1.11",
+        **profile,
+        **fit.metadata.get("station", {}),
         "title": "Fit of underwater light by oceaninv",
         "source": without_folders(str(fit.metadata.get("source", ""))),
         "result": fit.result,

@@ -1,8 +1,9 @@
 """Casts in netCDF: BGC-Argo profiles, and plain datasets with dimensions depth and wavelength."""
 
+import re
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -95,16 +96,52 @@ def _argo(data: "xarray.Dataset", name: str) -> list[RawCast]:
                 columns[column], units[column] = values, _unit(data[stem], stem, name)
                 if quality is not None:
                     flags[column] = quality
-        latitude = float(one["LATITUDE"]) if "LATITUDE" in one.variables else None
-        if latitude is not None and not np.isfinite(latitude):
-            latitude = None
         # A float's file has profiles of other sensors beside those of light.
         if any(column.startswith("DOWN_IRRADIANCE") for column in columns) or count == 1:
             label = name if count == 1 else f"{name}:{i}"
-            casts.append(RawCast(label, columns, units, flags, latitude=latitude))
+            casts.append(RawCast(label, columns, units, flags, **_station(one)))
     if not casts:
         raise ValueError(f"{name}: every DOWN_IRRADIANCE value is missing.")
     return casts
+
+
+def _station(one: "xarray.Dataset") -> dict[str, Any]:
+    """Where, when and by which float one profile was measured, as far as the file says."""
+    cycle, platform = _number(one, "CYCLE_NUMBER"), None
+    if "PLATFORM_NUMBER" in one.variables:
+        value = np.asarray(one["PLATFORM_NUMBER"]).reshape(-1)
+        texts = [v.decode("ascii", "replace") if isinstance(v, bytes) else str(v) for v in value]
+        platform = "".join(texts).strip() or None
+    return {
+        "latitude": _number(one, "LATITUDE"),
+        "longitude": _number(one, "LONGITUDE"),
+        "began": _time(one),
+        "platform": platform,
+        "cycle": None if cycle is None else int(cycle),
+    }
+
+
+def _number(one: "xarray.Dataset", name: str) -> float | None:
+    """A scalar of one profile; None where it is absent or missing."""
+    if name not in one.variables or one[name].size != 1 or one[name].dtype.kind not in "iuf":
+        return None
+    value = float(one[name])
+    return value if np.isfinite(value) else None
+
+
+def _time(one: "xarray.Dataset") -> str | None:
+    """JULD, days since a date or decoded before, as ISO 8601 to the second."""
+    if "JULD" not in one.variables or one["JULD"].size != 1:
+        return None
+    if one["JULD"].dtype.kind == "M":
+        found = np.asarray(one["JULD"]).reshape(()).astype("datetime64[s]")
+    else:
+        days = _number(one, "JULD")
+        since = re.match(r"days since (\d{4}-\d{2}-\d{2})", str(one["JULD"].attrs.get("units", "")))
+        if days is None or since is None or not 0.0 <= days < 1e5:
+            return None
+        found = np.datetime64(since[1], "s") + np.timedelta64(round(days * 86400.0), "s")
+    return None if np.isnat(found) else f"{found}Z"
 
 
 def _adjusted(one: "xarray.Dataset", stem: str) -> tuple[np.ndarray, np.ndarray | None]:

@@ -12,7 +12,8 @@ class RawCast:
 
     `comment`: free text of the header; `latitude`: degrees north; `counts`: what was left out;
     `time`: (row,) of each row in any unit, None where the file does not say: then rows stand in
-    the order in which they were measured.
+    the order in which they were measured; `longitude`: degrees east; `began`: date and time, UTC,
+    ISO 8601; `platform` and `cycle`: of a float.
     """
 
     name: str
@@ -24,3 +25,19 @@ class RawCast:
     solar_zenith: float | None = None
     counts: Mapping[str, int] = dataclasses.field(default_factory=dict)
     time: np.ndarray | None = None
+    longitude: float | None = None
+    began: str | None = None
+    platform: str | None = None
+    cycle: int | None = None
+
+    @property
+    def station(self) -> dict[str, float | str | int]:
+        """What the file says of where, when and by what the cast was measured."""
+        known = {
+            "latitude": self.latitude,
+            "longitude": self.longitude,
+            "time": self.began,
+            "platform": self.platform,
+            "cycle": self.cycle,
+        }
+        return {name: value for name, value in known.items() if value is not None}

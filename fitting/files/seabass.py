@@ -30,6 +30,15 @@ class Seabass:
         numbers = [float(f.group(1)) for f in found if f]
         return float(np.mean(numbers)) if numbers else None
 
+    @property
+    def began(self) -> str | None:
+        """Date and time (UTC, ISO 8601) at which the header says that measuring began."""
+        date = re.fullmatch(r"(\d{4})(\d{2})(\d{2})", self.header.get("start_date", ""))
+        if date is None:
+            return None
+        clock = re.match(r"\d{2}:\d{2}:\d{2}(?=\[GMT\])", self.header.get("start_time", ""), re.I)
+        return "-".join(date.groups()) + (f"T{clock[0]}Z" if clock else "")
+
 
 def is_seabass(head: bytes) -> bool:
     """Whether a file that starts like this is a SeaBASS file."""

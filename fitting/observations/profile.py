@@ -52,6 +52,8 @@ class Profile:
     - `calibrated`: whether `surface` is in the unit of Ed; if not, only its changes are used.
     - `tilt`: (depth,) degrees, for reports.
     - `counts`: what was left out before, by reason, for reports.
+    - `station`: where, when and by what the cast was measured, as far as it is known, for reports:
+      latitude (degrees north), longitude (degrees east), time (UTC, ISO 8601), platform, cycle.
 
     Casts of more than 2,048 samples, and casts that stay at one depth for long, are reduced to
     medians over bins of depth.  Samples in shade and values beyond all others are masked and
@@ -85,6 +87,7 @@ class Profile:
     dark_sd: Float[np.ndarray, " wl"]
     counts: dict[str, int]
     PAR_unit: str | None
+    station: dict[str, float | str | int]
     segment: Int[np.ndarray, " depth"]
     shade: Bool[np.ndarray, " depth"]
 
@@ -110,12 +113,14 @@ class Profile:
         upward_below: float = 0.0,
         calibrated: bool = True,
         counts: Mapping[str, int] | None = None,
+        station: Mapping[str, float | str | int] | None = None,
     ):
         if solar_zenith is not None and not 0 <= solar_zenith < 90:
             raise ValueError(f"solar_zenith must lie in [0, 90) degrees, not {solar_zenith:g}.")
         self.wavelength, self.solar_zenith = check_wavelength(wavelength), solar_zenith
         self.source, self.upward_below = source, float(upward_below)
         self.counts, self.PAR_unit = dict(counts or {}), PAR_unit
+        self.station = dict(station or {})
         data = _checked(depth, self.wavelength, Ed, sigma, Eu, Lu, surface, PAR, tilt)
         self.beam_wavelength, beams = _beams(len(data["depth"]), beam_wavelength, {"a": a, "c": c})
         self.Es = None

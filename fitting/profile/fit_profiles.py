@@ -26,6 +26,21 @@ if TYPE_CHECKING:
 _ENDED = (Status.CONVERGED, Status.STEP_LIMIT, Status.MODEL_NOT_FINITE)
 
 
+_STATION = {
+    "latitude": {"units": "degrees_north", "standard_name": "latitude"},
+    "longitude": {"units": "degrees_east", "standard_name": "longitude"},
+    "time": {"units": "days since 1950-01-01T00:00:00Z", "standard_name": "time"},
+    "platform": {"long_name": "number of the float"},
+    "cycle": {"units": "1", "long_name": "number of the float's cycle"},
+}
+
+
+def _days(time: str) -> float:
+    """Days since 1950 of a date and time in ISO 8601."""
+    since = np.datetime64(time.removesuffix("Z"), "s") - np.datetime64("1950-01-01", "s")
+    return float(since / np.timedelta64(1, "D"))
+
+
 class ProfileFits:
     """Fits of many casts.  `fits[i]` is the `Fit` of cast i, made when it is asked for.
 
@@ -126,6 +141,7 @@ class ProfileFits:
         return (
             {
                 **table.variables(),
+                **self._stations(),
                 "search": (("cast", "wavelength"), code, notes),
                 "source": ("cast", np.array(sources, dtype=str), {"long_name": "source"}),
                 "failure": (
@@ -141,6 +157,27 @@ class ProfileFits:
                 "kd_definition": "; ".join(definitions),
             },
         )
+
+    def _stations(self) -> dict:
+        """Variables over casts that say where, when and by what these were measured."""
+        stations = [
+            self._casts[i].window.profile.station if i in self._casts else {}
+            for i in range(len(self))
+        ]
+        found = {}
+        for name, notes in _STATION.items():
+            values = [station.get(name) for station in stations]
+            if all(value is None for value in values):
+                continue
+            if name == "time":
+                days = [_days(str(value)) if value else np.nan for value in values]
+                found[name] = ("cast", np.array(days), notes)
+            elif name == "platform":
+                found[name] = ("cast", np.array([str(v or "") for v in values], dtype=str), notes)
+            else:
+                numbers = [np.nan if value is None else value for value in values]
+                found[name] = ("cast", np.array(numbers, dtype=float), notes)
+        return found
 
     def _quantities(self, i: int) -> dict[str, Quantity]:
         cast, fits = self._casts[i], self._fits[i]

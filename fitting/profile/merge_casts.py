@@ -13,7 +13,8 @@ def merged(profiles: Sequence[Profile]) -> Profile:
 
     The light of each is brought to that of the first: by the light above, where all casts have it
     in the unit of Ed, else by their own fitted Ed(0-).  Waves then differ between casts, and the
-    fit of all is the fit of their common Kd.  PAR, which has no such standard, is left out.
+    fit of all is the fit of their common Kd.  PAR, which has no such standard, is left out.  Place
+    and time are those of the first.
 
     Raises ValueError where bands or the place of the upward sensors differ.
     """
@@ -67,4 +68,5 @@ def merged(profiles: Sequence[Profile]) -> Profile:
         tilt=np.concatenate(tilts) if len(tilts) == len(profiles) else None,
         upward_below=first.upward_below,
         counts=counts,
+        station=first.station,
     )

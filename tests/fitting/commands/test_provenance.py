@@ -18,6 +18,7 @@ from fitting.images.photo_csv import read_photo
 from oceaninv.foundation import provenance
 from oceaninv.foundation.atomic_write import is_own
 from tests.fitting.commands.test_output_files import CAST
+from tests.fitting.files.test_cast_file import argo
 from tests.fitting.images.test_chart_reading import CORNERS, painted
 from tests.fitting.images.test_photo_csv import PHOTO
 from tests.fitting.images.test_photograph_file import IMAGE, write
@@ -176,3 +177,41 @@ def test_results_of_archives_are_equal_bit_by_bit(tmp_path, capsys):
         facts = facts_of(one / name)
         assert facts["command_line"] == "oceaninv fit-profile --from 1 --columns Ed_490=Ed_490"
         assert facts["input_files"] == f"{i}.csv (SHA-256 {digest(paths[i])})"
+
+
+def test_place_time_and_float_are_kept_by_one_cast_and_by_archives(tmp_path, capsys):
+    path = argo(tmp_path, casts=1)
+    assert cli.run(["fit-profile", str(path), "--kd-only", "-o", str(tmp_path / "one")]) == 0
+    with h5netcdf.File(tmp_path / "one.nc") as data:
+        assert data.attrs["featureType"] == "profile"
+        assert data.attrs["latitude"] == 35.0
+        assert data.attrs["longitude"] == 20.5
+        assert data.attrs["time"] == "2020-01-01T06:00:00Z"
+        assert data.attrs["platform"] == "6903247"
+        assert data.attrs["cycle"] == 112
+        assert data.attrs["source"] == path.name
+        # What stands in the metadata as lists is over wavelength, too.
+        facts = json.loads(data.attrs["metadata"])
+        for name, fact in (
+            ("depths_used", "depths_used"),
+            ("deepest_used", "deepest_used_m"),
+            ("dark_level", "dark_level"),
+            ("relative_noise", "relative_noise"),
+            ("noise_correlation_length", "noise_correlated_over_m"),
+            ("runs_test_p", "runs_test_p"),
+        ):
+            assert data[name].dimensions == ("wavelength",)
+            assert {"units", "long_name"} <= set(data[name].attrs)
+            np.testing.assert_array_equal(data[name][:], facts[fact])
+    (tmp_path / "plain.csv").write_text(CAST)
+    many = [str(path), str(tmp_path / "plain.csv")]
+    assert cli.run(["fit-profile", *many, "-o", str(tmp_path / "kd")]) == 0
+    with h5netcdf.File(tmp_path / "kd" / f"{path.name}.kd.nc") as data:
+        for name, value in (("latitude", 35.0), ("longitude", 20.5), ("time", 25567.25)):
+            assert data[name].dimensions == ("cast",)
+            assert data[name].attrs["standard_name"] == name
+            assert data[name][:].tolist() == [value]
+        assert data["cycle"][:].tolist() == [112]
+        assert [bytes(v).decode() for v in data["platform"][:]] == ["6903247"]
+    with h5netcdf.File(tmp_path / "kd" / "plain.csv.kd.nc") as data:
+        assert not {"latitude", "time", "platform", "cycle"} & set(data.variables)

@@ -5,7 +5,8 @@ import pytest
 import xarray as xr
 
 from fitting import fit_profile
-from fitting.files.cast_file import Reading, read_cast, read_casts
+from fitting.files.cast_file import Reading, profile_of, raw_casts, read_cast, read_casts
+from fitting.files.cast_netcdf import casts_of
 from fitting.files.irradiance_units import irradiance_factor, irradiance_units_in
 from fitting.files.seabass import read_seabass, seabass_text
 from fitting.observations.profile import Profile
@@ -124,6 +125,9 @@ def test_a_flow_through_file_is_no_profile(tmp_path):
         read_cast(path)
 
 
+JULD = "days since 1950-01-01 00:00:00 UTC"
+
+
 def argo(folder, engine="h5netcdf", casts=2, **changes):
     pressure = np.tile(DEPTH * 1.01, (casts, 1))
     adjusted = np.full(pressure.shape, np.nan)
@@ -136,6 +140,10 @@ def argo(folder, engine="h5netcdf", casts=2, **changes):
         {
             "PRES": (dims, pressure, {"units": "decibar"}),
             "LATITUDE": ("N_PROF", np.full(casts, 35.0)),
+            "LONGITUDE": ("N_PROF", np.full(casts, 20.5)),
+            "JULD": ("N_PROF", np.arange(casts) + 25567.25, {"units": JULD}),
+            "PLATFORM_NUMBER": ("N_PROF", np.full(casts, b"6903247 ")),
+            "CYCLE_NUMBER": ("N_PROF", np.arange(casts, dtype=np.int32) + 112),
             "DOWN_IRRADIANCE412": (dims, 2 * np.tile(ed(wavelength=412), (casts, 1)), unit),
             "DOWN_IRRADIANCE412_QC": (dims, np.full(pressure.shape, b"3")),
             "DOWN_IRRADIANCE412_ADJUSTED": (dims, adjusted, unit),
@@ -315,3 +323,30 @@ def test_absorption_and_attenuation_beside_the_light(tmp_path):
         Profile(DEPTH, [490.0], ed()[:, None], a=ed()[:, None])
     with pytest.raises(ValueError, match=r"a must have shape \(depth, beam\) = \(60, 2\)"):
         Profile(DEPTH, [490.0], ed()[:, None], beam_wavelength=[440, 555], a=ed()[:, None])
+
+
+@pytest.mark.parametrize("engine", ["h5netcdf", "scipy"])
+def test_place_time_and_float_are_kept(tmp_path, engine):
+    path = argo(tmp_path, engine)
+    known = {"latitude": 35.0, "longitude": 20.5, "platform": "6903247"}
+    for number, raw in enumerate(raw_casts(path)):
+        time = f"2020-01-0{1 + number}T06:00:00Z"
+        assert raw.station == {**known, "time": time, "cycle": 112 + number}
+    assert profile_of(raw_casts(path)[0]).station == raw_casts(path)[0].station
+    with xr.open_dataset(path, engine=engine) as data:  # times decoded
+        assert casts_of(data, "memory")[1].station["time"] == "2020-01-02T06:00:00Z"
+        bare = data.drop_vars(["JULD", "PLATFORM_NUMBER", "CYCLE_NUMBER"])
+        bare["LONGITUDE"] = bare.LONGITUDE * np.nan
+        assert casts_of(bare, "memory")[0].station == {"latitude": 35.0}
+
+
+def test_seabass_headers_say_where_and_when(tmp_path):
+    path = seabass(tmp_path)
+    assert read_cast(path).station == {"latitude": 40.5}
+    more = "/west_longitude=-70.5[DEG]\n/east_longitude=-70.7[DEG]\n/start_date=20200131\n"
+    text = path.read_text()
+    for clock, time in (("", ""), ("/start_time=09:08:07[GMT]\n", "T09:08:07Z")):
+        path.write_text(text.replace("/begin_header\n", f"/begin_header\n{more}{clock}"))
+        station = read_cast(path).station
+        assert station.pop("longitude") == pytest.approx(-70.6)
+        assert station == {"latitude": 40.5, "time": f"2020-01-31{time}"}
