@@ -71,10 +71,10 @@ def fit_photo_command(
     overwrite: Overwrite = False,
 ) -> None:
     """Fit the water's constituents to readings of charts and open water in photographs."""
-    from fitting import fit_photo
     from fitting import sample as draw
     from fitting.images.photo_csv import read_photo
     from fitting.images.photograph_file import pixels_of
+    from fitting.photo.developed import fit_checked
     from fitting.photo.restore import restored_paths
     from fitting.report.netcdf_file import save
     from fitting.report.picture import picture
@@ -116,10 +116,13 @@ def fit_photo_command(
     masked = sum(photo.masked for photo in photos)
     preload()
     with status("fitting constituents (the first run compiles)"):
-        fit = fit_photo(photos, matrix=matrix, know=known, robust=robust, tolerance=tolerance)
+        options = {"know": known, "robust": robust, "tolerance": tolerance}
+        fit, said = fit_checked(photos, matrix=matrix, **options)
     if sample:
         with status("sampling the posterior (minutes)"):
             fit = draw(fit)
+    if said:
+        print(said)
     if clipped or masked:
         print(f"left out: {clipped} clipped rows, {masked} missing or non-positive values")
     factor = fit.noise_factor or 1.0
