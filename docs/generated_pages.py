@@ -1,10 +1,12 @@
 """MkDocs hook: pages that are made from files of the repository whenever the site is built.
 
-Acceptance tables, benchmarks, errata, keys of scene files, the change log and the guide for
-contributors are taken as they stand in the repository, help texts from the command itself, so that
-the site cannot differ from them.
+Notebooks with their outputs, acceptance tables, benchmarks, errata, keys of scene files, the change
+log and the guide for contributors are taken as they stand in the repository, help texts from the
+command itself, so that the site cannot differ from them.
 """
 
+import base64
+import json
 import os
 import re
 from pathlib import Path
@@ -38,6 +40,9 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
         listed = not name.startswith(tuple(f"trust/{folder}/" for folder in TABLES))
         level = InclusionLevel.INCLUDED if listed else InclusionLevel.NOT_IN_NAV
         files.append(File.generated(config, name, content=content, inclusion=level))
+    for path in sorted((ROOT / "notebooks").glob("*.ipynb")):
+        for name, content in notebook_page(path).items():
+            files.append(File.generated(config, name, content=content))
     for name in PICTURES:
         source = str(ROOT / "scenes" / name)
         files.append(File.generated(config, f"images/{Path(name).name}", abs_src_path=source))
@@ -80,6 +85,27 @@ LIST_OF_TABLES = (
     "Each table below was written by a script of the repository and is shown as it was committed. "
     "A script compares oceaninv with an exact solution, an independent program, or measurements."
 )
+
+
+def notebook_page(path: Path) -> dict[str, str | bytes]:
+    """A notebook as it was stored: a page, and the pictures in it."""
+    lines, pictures = [], {}
+    for cell in json.loads(path.read_text(encoding="utf-8"))["cells"]:
+        source = "".join(cell["source"])
+        if cell["cell_type"] != "code":
+            lines += [source, ""]
+            continue
+        lines += ["```python", source, "```", ""]
+        for output in cell["outputs"]:
+            data = output.get("data", {})
+            text = "".join(output.get("text", data.get("text/plain", "")))
+            if "image/png" in data:
+                name = f"{path.stem}_{len(pictures) + 1}.png"
+                pictures[f"notebooks/{name}"] = base64.b64decode("".join(data["image/png"]))
+                lines += [f"![Output of the lines above]({name})", ""]
+            elif text and output.get("name") != "stderr":
+                lines += ["```text", text.rstrip("\n"), "```", ""]
+    return {f"notebooks/{path.stem}.md": "\n".join(lines)} | pictures
 
 
 def command_line() -> str:
