@@ -6,6 +6,7 @@ command itself, so that the site cannot differ from them.
 """
 
 import base64
+import io
 import json
 import os
 import re
@@ -43,6 +44,7 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
     for path in sorted((ROOT / "notebooks").glob("*.ipynb")):
         for name, content in notebook_page(path).items():
             files.append(File.generated(config, name, content=content))
+    files.append(File.generated(config, "images/photo_bounds.png", content=photo_bounds()))
     for name in PICTURES:
         source = str(ROOT / "scenes" / name)
         files.append(File.generated(config, f"images/{Path(name).name}", abs_src_path=source))
@@ -85,6 +87,38 @@ LIST_OF_TABLES = (
     "Each table below was written by a script of the repository and is shown as it was committed. "
     "A script compares oceaninv with an exact solution, an independent program, or measurements."
 )
+
+
+# Protocols of the table of bounds that are drawn, with a label each.
+PROTOCOLS = {
+    "background": "open water alone",
+    "single photo": "one photograph with charts",
+    "three depths": "photographs at three depths",
+    "three depths, a_y to 10 %": "three depths, CDOM known to 10 %",
+}
+
+
+def photo_bounds() -> bytes:
+    """A picture of what photographs could tell at best, from the acceptance table of bounds."""
+    from matplotlib.figure import Figure
+
+    path = ROOT / "tests" / "acceptance" / "photo_rows_design.md"
+    lines = path.read_text(encoding="utf-8").splitlines()
+    rows = [[cell.strip() for cell in line.strip("|").split("|")] for line in lines if "|" in line]
+    quantities, values = rows[0][1:], {row[0]: row[1:] for row in rows[2:]}
+    figure = Figure(figsize=(8, 4), layout="constrained")
+    axis = figure.subplots()
+    for protocol, label in PROTOCOLS.items():
+        here = [float(cell.split("/")[1]) for cell in values[protocol]]
+        axis.plot(here, range(len(here)), "o-", label=label)
+    axis.axvline(0.5, color="0.5", ls=":", label="not identifiable to the right")
+    axis.set(xscale="log", xlabel="least standard deviation of the logarithm (0.1: about 10 %)")
+    axis.set_yticks(range(len(quantities)), quantities)
+    axis.invert_yaxis()
+    axis.legend(frameon=False, fontsize="small")
+    drawn = io.BytesIO()
+    figure.savefig(drawn, format="png", dpi=120)
+    return drawn.getvalue()
 
 
 def notebook_page(path: Path) -> dict[str, str | bytes]:

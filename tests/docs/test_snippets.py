@@ -6,6 +6,7 @@ import sys
 
 import pytest
 
+from fitting.files.cast_file import raw_casts
 from tests.docs.blocks import blocks, commands, with_code
 from tests.paths import ROOT, SCENES
 
@@ -48,6 +49,15 @@ def test_snippets_run(name, texts, folder):
     if name in RESULTS:
         variable, value, tolerance = RESULTS[name]
         assert abs(float(names[variable]) - value) < tolerance
+
+
+def test_the_example_of_a_cast_file_is_read(folder):
+    path = folder / "cast.csv"
+    path.write_text(blocks("files/index.md", "text")[0])
+    (cast,) = raw_casts(path)
+    assert list(cast.columns) == ["depth", "Ed_412", "Ed_490"]
+    assert set(cast.units.values()) == {"m", "W m-2 nm-1"}
+    assert (cast.solar_zenith, cast.latitude) == (32.0, 43.4)
 
 
 def shipped():
