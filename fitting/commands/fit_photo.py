@@ -12,6 +12,7 @@ from fitting.commands.shared_options import (
     Tolerance,
     check_outputs,
     preload,
+    print_doubt,
     print_water,
     status,
     with_endings,
@@ -121,6 +122,7 @@ def fit_photo_command(
     if sample:
         with status("sampling the posterior (minutes)"):
             fit = draw(fit)
+    print_doubt(fit)
     if said:
         print(said)
     if clipped or masked:

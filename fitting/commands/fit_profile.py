@@ -17,6 +17,7 @@ from fitting.commands.shared_options import (
     Tolerance,
     check_outputs,
     preload,
+    print_doubt,
     print_water,
     status,
     with_endings,
@@ -249,6 +250,7 @@ def _fit_one(profile: "Profile", wanted: _Wanted, files: list[Path], overwrite: 
     failures: list[str] = []
     constituents = None if wanted.kd_only else _constituents(profile, wanted, depth_range, failures)
     smooth = _smooth(profile, depth_range, failures) if wanted.smooth else None
+    print_doubt(fit, constituents)
     _print_kd(fit)
     if constituents is not None:
         print_water(constituents)

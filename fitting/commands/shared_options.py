@@ -49,6 +49,13 @@ def status(text: str):
     return Console(stderr=True).status(text)
 
 
+def print_doubt(*fits: "Fit | None") -> None:
+    """The sentence of each fit whose model does not describe its data; before all numbers."""
+    for fit in fits:
+        if fit is not None and fit.doubt:
+            print(fit.doubt)
+
+
 def print_water(fit: "Fit") -> None:
     """Constituents and quantities with intervals, and their sensitivity to assumptions."""
     from rich.console import Console

@@ -1,6 +1,7 @@
 """The result of a fit: values, intervals, correlations, identifiability."""
 
 import dataclasses
+import html
 import json
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -11,6 +12,7 @@ from jaxtyping import Float
 
 from fitting.core.diagnostics import ModelChoice, SamplerDiagnostics, Status
 from fitting.core.parameters import Log, Parameter, Parameters
+from oceaninv.foundation.figure_file import save_figure
 from oceaninv.foundation.provenance import without_folders
 
 if TYPE_CHECKING:
@@ -23,6 +25,8 @@ LEVEL = 0.95  # of the intervals in tables, pictures and files
 # Standard deviation of the logarithm beyond which a value would mislead: only its interval is
 # given.  Share of the prior's width above which the prior, not the data, determines a number.
 _UNKNOWN_SD = 0.5
+# Reduced chi-square above which a model does not describe its data.
+_DOUBTFUL = 3.0
 _PRIOR_SHARE = 0.8
 
 
@@ -30,11 +34,12 @@ _PRIOR_SHARE = 0.8
 class Quantity:
     """A derived quantity with its standard deviation, scalar or (wl,).
 
-    `sd` is of the natural logarithm (relative): optical coefficients are positive.  `samples`:
-    (draw, ...) values of a sampled posterior, whose quantiles are then the intervals.  `dof`:
-    degrees of freedom of its own, of the shape of `value`, where it has such.  `second_order_sd`:
-    standard deviation of the second-order error, which widens intervals (see `half_width`).
-    `kind`: what it is without where ("Kd" of Kd_490), a key of `STANDARD_NAMES` where that has it.
+    `sd` is of the natural logarithm (relative, whatever `unit` is): optical coefficients are
+    positive; `absolute_sd` is in `unit`.  `samples`: (draw, ...) values of a sampled posterior,
+    whose quantiles are then the intervals.  `dof`: degrees of freedom of its own, of the shape of
+    `value`, where it has such.  `second_order_sd`: standard deviation of the second-order error,
+    which widens intervals (see `half_width`).  `kind`: what it is without where ("Kd" of Kd_490), a
+    key of `STANDARD_NAMES` where that has it.
     """
 
     value: np.ndarray
@@ -45,6 +50,16 @@ class Quantity:
     dof: np.ndarray | None = None
     second_order_sd: np.ndarray | float = 0.0
     kind: str = ""
+
+    @property
+    def relative_sd(self) -> np.ndarray:
+        """Standard deviation of the natural logarithm, the same number as `sd`."""
+        return self.sd
+
+    @property
+    def absolute_sd(self) -> np.ndarray:
+        """Standard deviation in `unit`: `value` times `sd`; to first order, so for small ones."""
+        return self.value * self.sd
 
     def interval(self, level: float = 0.95, dof: float | Vector | None = None):
         """(low, high) that holds the truth with probability `level`."""
@@ -171,8 +186,9 @@ class Fit:
       intervals (see `half_width`).  None for neither.
     """
 
-    # What `report` draws with: `fitting.report.picture`, of a package above this one, sets it.
-    draw: ClassVar[Callable[..., None] | None] = None
+    # What `plot` and `to_netcdf` work with: `fitting.report`, a package above this one, sets them.
+    draw: ClassVar[Callable[["Fit"], Any] | None] = None
+    write: ClassVar[Callable[..., None] | None] = None
 
     parameters: Parameters
     x: Vector
@@ -326,11 +342,88 @@ class Fit:
 
         return dataset(self)
 
-    def report(self, path: str | Path, *, overwrite: bool = False) -> None:
-        """Write a picture of the fit (PNG) to `path`; see `fitting.report.picture`."""
+    def to_netcdf(self, path: str | Path, *, overwrite: bool = False) -> None:
+        """Write everything as netCDF, as the commands do; see `fitting.report.netcdf_file`."""
+        if Fit.write is None:
+            raise RuntimeError("import fitting.report, which writes fits.")
+        Fit.write(path, self, overwrite=overwrite)
+
+    def plot(self) -> Any:
+        """The picture of the fit as a matplotlib figure; see `fitting.report.picture`."""
         if Fit.draw is None:
             raise RuntimeError("import fitting.report.picture, which draws fits.")
-        Fit.draw(self, path, overwrite=overwrite)
+        return Fit.draw(self)
+
+    def report(self, path: str | Path, *, overwrite: bool = False) -> None:
+        """Write the picture of the fit (PNG) to `path`."""
+        save_figure(self.plot(), path, dpi=130, overwrite=overwrite)
+
+    @property
+    def reduced_chi2(self) -> float | None:
+        """Sum of the squared residuals over their standard deviations, per degree of freedom.
+
+        About 1 where the model describes the data within their noise.  The degrees of freedom are
+        the data less the unknowns that they fix.  Where the noise was scaled by the Birge ratio,
+        the value before that, `noise_factor` squared.  None where the noise was estimated from the
+        residuals themselves (`dof`), or where there are no more data than unknowns.
+        """
+        if self.noise_factor is not None and self.noise_factor > 1.0:
+            return self.noise_factor**2
+        seen = self.posterior_predictive
+        residual = (seen.observed - seen.predicted) / seen.sd
+        residual = residual[np.isfinite(residual)]
+        degrees = residual.size - sum(self.identifiable.values())
+        if self.dof is not None or degrees < 1:
+            return None
+        return float(np.sum(residual**2) / degrees)
+
+    @property
+    def doubt(self) -> str | None:
+        """A sentence where `reduced_chi2` is above 3: the model does not describe the data."""
+        found = self.reduced_chi2
+        if found is None or found <= _DOUBTFUL:
+            return None
+        return (
+            f"The model does not describe these data: reduced chi-square {found:.1f}; the numbers "
+            "below are doubtful."
+        )
+
+    def summary(self) -> str:
+        """The numbers with their 95 % intervals as a table of text, after how the fit ended."""
+        heads = ("quantity", "unit", "value", f"{100 * LEVEL:.0f} % interval")
+        rows = [(n.name, n.unit, n.value_text, n.interval_text) for n in self.numbers()]
+        widths = [max(map(len, column)) for column in zip(heads, *rows, strict=True)]
+        lines = [self.doubt] if self.doubt else []
+        lines.append(f"search: {self.result}")
+        for name, unit, value, interval in (heads, *rows):
+            cells = name.ljust(widths[0]), unit.ljust(widths[1]), value.rjust(widths[2])
+            lines.append("  ".join((*cells, interval.rjust(widths[3]))))
+        return "\n".join(lines)
+
+    def __repr__(self) -> str:
+        numbers = self.numbers()
+        named = [
+            f"{n.name} {n.value_text} {n.unit} ({n.interval_text})"
+            if n.identifiable
+            else f"{n.name} {n.value_text}"
+            for n in numbers[:3]
+        ]
+        more = f", and {len(numbers) - 3} more" if len(numbers) > 3 else ""
+        return f"Fit({', '.join(named)}{more}; {self.result})"
+
+    def _repr_html_(self) -> str:
+        """What notebooks show: `summary` as a table."""
+        doubt = f"<p><strong>{html.escape(self.doubt)}</strong></p>" if self.doubt else ""
+        heads = "".join(
+            f"<th>{head}</th>"
+            for head in ("quantity", "unit", "value", f"{100 * LEVEL:.0f} % interval")
+        )
+        rows = ""
+        for n in self.numbers():
+            cells = map(html.escape, (n.name, n.unit, n.value_text, n.interval_text))
+            rows += f"<tr>{''.join(f'<td>{cell}</td>' for cell in cells)}</tr>"
+        caption = f"<caption>search: {html.escape(self.result)}</caption>"
+        return f"{doubt}<table>{caption}<tr>{heads}</tr>{rows}</table>"
 
     def metadata_json(self) -> str:
         """`facts` as one line of JSON."""

@@ -27,3 +27,7 @@ def save(
             netcdf_writer.write(temporary, *_content(constituents), group="constituents")
         if smooth is not None:
             netcdf_writer.write(temporary, *smooth.content(), group="smooth")
+
+
+# `Fit` lies in a package below this one and must not import it.
+Fit.write = staticmethod(save)

@@ -1,6 +1,7 @@
 """Pictures of fits."""
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -9,11 +10,19 @@ from fitting.report._bulk_picture import draw_coefficients
 from oceaninv.foundation.figure_file import save_figure
 from oceaninv.foundation.provenance import without_folders
 
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
 
 def picture(
     fit: Fit, path: str | Path, constituents: Fit | None = None, *, overwrite: bool = False
 ) -> None:
-    """Draw a fit (PNG): observations against the model, spectra with 95 % bands, unknowns."""
+    """Write the figure of a fit as PNG."""
+    save_figure(figure_of(fit, constituents), path, dpi=130, overwrite=overwrite)
+
+
+def figure_of(fit: Fit, constituents: Fit | None = None) -> "Figure":
+    """Draw a fit: observations against the model, spectra with 95 % bands, unknowns."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -42,7 +51,7 @@ def picture(
     # Do not print absolute local paths in a picture: pictures are shared.
     title = without_folders(str(fit.metadata.get("source", "")))
     figure.suptitle(title, fontsize=9, color="0.35")
-    save_figure(figure, path, dpi=130, overwrite=overwrite)
+    return figure
 
 
 def _draw_profile(axes, fit: Fit) -> None:
@@ -124,6 +133,9 @@ def _draw_spectrum(axes, wavelength, quantity: Quantity, label: str, colour: str
         axes.fill_between(wavelength, low, high, color=colour, alpha=0.25, lw=0)
         axes.plot(wavelength, quantity.value, color=colour, label=label)
         return
+    # Where a model does not describe its data, a coefficient can come out negative, and the ends of
+    # its interval, which are multiples of it, the wrong way round.
+    low, high = np.minimum(low, high), np.maximum(low, high)
     error = np.stack([quantity.value - low, high - quantity.value])
     form = {"fmt": "o", "ms": 5, "capsize": 3, "color": colour, "label": label}
     axes.errorbar(wavelength, quantity.value, error, **form)
@@ -180,4 +192,4 @@ def wavelength_colour(wavelength: float) -> tuple[float, float, float]:
 
 
 # `Fit` lies in a package below this one and must not import it.
-Fit.draw = staticmethod(picture)
+Fit.draw = staticmethod(figure_of)

@@ -56,7 +56,7 @@ def write_html(
     page = (
         f"<!doctype html><!-- {checksum_line()} --><html lang='en'><meta charset='utf-8'>"
         "<title>Water from photographs</title>"
-        f"<style>{_STYLE}</style><h1>Water from photographs</h1>"
+        f"<style>{_STYLE}</style>{_doubt(fit)}<h1>Water from photographs</h1>"
         f"<p>Search: {html.escape(fit.result)}.</p><table><caption>{_caption(fit)}</caption><tr>"
         f"<th>quantity</th><th>unit</th><th>value</th><th>{LEVEL:.0%} interval</th></tr>{water}"
         f"</table>{images}<h2>Correlations</h2><table><tr><th></th>"
@@ -67,6 +67,10 @@ def write_html(
     )
     with atomic_write(path, overwrite=overwrite) as temporary:
         temporary.write_text(with_checksum(page), encoding="utf-8")
+
+
+def _doubt(fit: Fit) -> str:
+    return f"<p class='no'>{html.escape(fit.doubt)}</p>" if fit.doubt else ""
 
 
 def _fixed(fit: Fit) -> str:

@@ -3,11 +3,15 @@
 import dataclasses
 import json
 
+import jax
 import numpy as np
 import pytest
+import xarray as xr
+from matplotlib.image import imread
 from scipy.stats import norm, t
 
-from fitting import Fit, Identity, Logit, Parameter, Quantity
+import oceaninv as oi
+from fitting import Fit, Identity, Logit, Parameter, Profile, Quantity, fit_profile
 from fitting.core.diagnostics import ModelChoice, Status
 from fitting.core.parameters import Parameters
 from fitting.core.result import (
@@ -258,3 +262,102 @@ def test_intervals_of_quantities_are_symmetric_in_the_logarithm():
     np.testing.assert_allclose(low * high, one.value**2, rtol=1e-12)
     assert low[1] == high[1] == 2.0
     np.testing.assert_allclose(np.log(high[0] / 0.1), 0.3 * quantile(0.68, 5.0), rtol=1e-12)
+
+
+def test_relative_and_absolute_deviations_have_names_of_their_own():
+    quantity = Quantity(np.array([0.04, 2.0]), np.array([0.1, 0.02]), "m-1", "Kd")
+    np.testing.assert_array_equal(quantity.relative_sd, quantity.sd)
+    np.testing.assert_allclose(quantity.absolute_sd, [0.004, 0.04], rtol=1e-12)
+
+
+def with_residuals(residuals, **changes):
+    """A fit of two unknowns, the first fixed by the data, whose sd of a datum is 2."""
+    residuals = np.asarray(residuals, dtype=float)
+    seen = Predictive(2.0 * residuals, 0.0 * residuals, 2.0 + 0.0 * residuals, ("reading",), "1")
+    one = fit([Parameter("a", 1.0), Parameter("b", 1.0, 0.5)], [0.0, 0.0], [0.1, 0.5])
+    return dataclasses.replace(one, posterior_predictive=seen, **changes)
+
+
+def test_reduced_chi_square_is_per_degree_of_freedom():
+    assert with_residuals([1, -1, 2, np.nan]).reduced_chi2 == pytest.approx(6.0 / 2.0, rel=1e-12)
+    assert with_residuals([1, -1, 2]).doubt is None  # 3 is not above 3
+    assert with_residuals([1, np.nan]).reduced_chi2 is None
+    # Noise that was estimated from the residuals says nothing about the model.
+    assert with_residuals([9, 9, 9], dof=5.0).reduced_chi2 is None
+    # The Birge ratio brings the residuals to 1; what counts is what they were before.
+    assert with_residuals([1, 1, 1], noise_factor=3.0).reduced_chi2 == 9.0
+    assert with_residuals([1, 1, 1], noise_factor=1.0).reduced_chi2 == pytest.approx(1.5)
+
+
+def test_a_model_that_does_not_describe_the_data_is_doubted_first():
+    one = with_residuals([3, -3, 4])
+    sentence = (
+        "The model does not describe these data: reduced chi-square 17.0; the numbers below are "
+        "doubtful."
+    )
+    assert one.doubt == one.summary().splitlines()[0] == sentence
+    assert one._repr_html_().startswith(f"<p><strong>{sentence}</strong></p><table>")
+    assert with_residuals([1, 1, 1]).summary().startswith("search: converged")
+    assert "strong" not in with_residuals([1, 1, 1])._repr_html_()
+
+
+def test_summary_and_repr_are_short():
+    one = fit(
+        [
+            Parameter("a<b", 1.0, unit="m-1"),
+            Parameter("b", 1.0, 0.5),
+            Parameter("c", 1.0),
+            Parameter("d", 1.0, nuisance=True),
+            Parameter("e", 1.0),
+        ],
+        [0.0] * 5,
+        [0.1, 0.5, 0.1, 0.1, 0.1],
+    )
+    assert one.summary().splitlines() == [
+        "search: converged",
+        "quantity  unit             value  95 % interval",
+        "a<b       m-1                  1   0.822 - 1.22",
+        "b         1     not identifiable   0.375 - 2.66",
+        "c         1                    1   0.822 - 1.22",
+        "e         1                    1   0.822 - 1.22",
+    ]
+    assert repr(one) == (
+        "Fit(a<b 1 m-1 (0.822 - 1.22), b not identifiable, c 1 1 (0.822 - 1.22), and 1 more; "
+        "converged)"
+    )
+    assert "a&lt;b</td><td>m-1</td><td>1</td><td>0.822 - 1.22" in one._repr_html_()
+
+
+def light(kd, noise=0.01):
+    depth = np.linspace(0.5, 20.0, 60)
+    error = 1.0 + noise * np.random.default_rng(0).standard_normal((60, len(kd)))
+    return Profile(depth, [490.0, 555.0, 750.0], np.exp(-np.array(kd) * depth[:, None]) * error)
+
+
+def test_light_that_no_water_makes_is_doubted_and_that_of_water_is_not():
+    """Pure water absorbs 2.5 m-1 at 750 nm: a Kd of 0.12 there is the sensor's own floor."""
+    with jax.enable_x64(True):
+        absurd = fit_profile(light([0.06, 0.09, 0.12]), transport=oi.TwoStream())
+        sound = fit_profile(light([0.06, 0.09, 2.6]), transport=oi.TwoStream())
+    assert absurd.reduced_chi2 > 4.5
+    assert absurd.doubt is not None
+    assert 0.5 < sound.reduced_chi2 < 2.0
+    assert sound.doubt is None
+
+
+def test_a_fit_is_written_and_drawn_from_python(tmp_path):
+    depth = np.linspace(0.5, 20.0, 40)
+    one = fit_profile(Profile(depth, [490.0], np.exp(-0.1 * depth)[:, None]))
+    one.to_netcdf(tmp_path / "a.nc")
+    with xr.open_dataset(tmp_path / "a.nc") as data:
+        np.testing.assert_array_equal(data.Kd, one.quantities["Kd"].value)
+        assert data.attrs["history"] == f"written by oceaninv {oi.__version__}"
+    (tmp_path / "a.nc").write_text("mine")
+    with pytest.raises(ValueError, match="overwrite=True"):
+        one.to_netcdf(tmp_path / "a.nc")
+    figure = one.plot()
+    assert len(figure.axes) == 3
+    one.report(tmp_path / "a.png")
+    figure.savefig(tmp_path / "b.png", dpi=130)
+    pixels = [imread(tmp_path / name) for name in ("a.png", "b.png")]
+    np.testing.assert_array_equal(*pixels)
