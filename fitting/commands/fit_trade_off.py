@@ -25,8 +25,8 @@ TOLERANCES = (0.1, 0.03)
 @dataclasses.dataclass(frozen=True)
 class FitRow:
     """One model of the light: constituents with their 95 % intervals; `shift` of their coordinates
-    from those of the dearest model, in its standard deviations; processor seconds per fit, beside
-    the dearest model's."""
+    from those of the most expensive model, in its standard deviations; processor seconds per fit, beside
+    the most expensive model's."""
 
     model: str
     seconds: float
@@ -39,12 +39,12 @@ class FitRow:
 
 def measure_fits(profile: Profile, repeats: int = 3) -> list[FitRow]:
     """Fits through every transport and at tolerances of 10 and 3 %; the last transport is the
-    dearest, with which the others are compared."""
+    reference, with which the others are compared."""
     ways = [(model_label(t), {"transport": t}) for t in TRANSPORTS]
     ways += [(f"tolerance {100 * t:g} %", {"tolerance": t}) for t in TOLERANCES]
     found = [(name, *_timed(profile, way, repeats)) for name, way in ways]
-    _, best, dearest = found[len(TRANSPORTS) - 1]
-    return [_row(name, fit, seconds, best, dearest) for name, fit, seconds in found]
+    _, best, reference = found[len(TRANSPORTS) - 1]
+    return [_row(name, fit, seconds, best, reference) for name, fit, seconds in found]
 
 
 def _timed(profile: Profile, way: dict, repeats: int) -> tuple[Fit, float]:
@@ -57,7 +57,7 @@ def _timed(profile: Profile, way: dict, repeats: int) -> tuple[Fit, float]:
     return fit, float(np.median(seconds))
 
 
-def _row(name: str, fit: Fit, seconds: float, best: Fit, dearest: float) -> FitRow:
+def _row(name: str, fit: Fit, seconds: float, best: Fit, reference: float) -> FitRow:
     asked = [p.name for p in fit.parameters if not p.nuisance]
     at = {n: fit.parameters.names.index(n) for n in asked}
     ends = {n: fit.interval(n) for n in asked}
@@ -66,7 +66,7 @@ def _row(name: str, fit: Fit, seconds: float, best: Fit, dearest: float) -> FitR
     return FitRow(
         name,
         seconds,
-        seconds / dearest,
+        seconds / reference,
         {n: fit.value[n] for n in asked},
         {n: ends[n][0] for n in asked},
         {n: ends[n][1] for n in asked},
@@ -82,7 +82,7 @@ def save_fits(path: Path, rows: list[FitRow], *, overwrite: bool = False) -> Non
     writer = csv.writer(file, lineterminator="\n")
     parts = ("", "_low", "_high", "_shift_sd")
     heads = [f"{name}{part}" for name in names for part in parts]
-    writer.writerow(("model", "seconds", "share_of_dearest", *heads))
+    writer.writerow(("model", "seconds", "share_of_reference", *heads))
     for row in rows:
         cells = [
             f"{kind[name]:.4g}"

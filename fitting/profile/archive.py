@@ -54,7 +54,7 @@ class Task:
 
 
 def result_path(path: Path, folder: Path) -> Path:
-    """Where the result of a file goes; its whole name stays, lest two files share one."""
+    """Where the result of a file goes; its whole name stays, so that no two files share one."""
     return folder / f"{path.name}.kd.nc"
 
 

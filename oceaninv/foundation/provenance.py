@@ -32,7 +32,7 @@ def version() -> str:
 def without_folders(text: str) -> str:
     """`text` with its absolute paths reduced to the names of their files.
 
-    Results are shared; the folders of the machine that made them tell nobody anything.
+    Results are shared; the folders of the machine that made them are left out.
 
     >>> without_folders("/home/me/dives/cast.csv:2")
     'cast.csv:2'

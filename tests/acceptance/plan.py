@@ -194,7 +194,7 @@ def _row(sample: models.Sample, tolerance: float) -> str:
 
 def _planning(draws) -> list[str]:
     """Time of whole plans beside one call of the last candidate, its program compiled before:
-    that is what has to be run where nothing is planned, lest some scene err by more than 1 %."""
+    what has to be run without planning so that no scene errs by more than 1 %."""
     lines = [
         "| planning at 3 % | bands | ms | run of the last transport, ms | share |",
         "|---|---|---|---|---|",

@@ -120,7 +120,7 @@ def main():
     rows = [
         "# Layers and outliers\n",
         "`python -m tests.acceptance.profile_robust`: 300 casts a row of 3 bands and 60 depths, "
-        "and 2,000 lanes a row of 20-60 depths; 5 % wave noise.\n",
+        "and 2,000 bands a row of 20-60 depths; 5 % wave noise.\n",
         "| change of Kd / its sd in one band | depth of the change within one sample | allowed by "
         "Cramer-Rao | two layers chosen | one layer chosen |",
         "|---|---|---|---|---|",

@@ -162,7 +162,7 @@ def full_casts(count: int = CASTS, seed: int = 21):
     slopes = np.stack([true, -np.exp(log_kd)[:, None] * depth * true], axis=2)
     information = np.einsum("kzi,kzj->kij", slopes, np.linalg.solve(covariance, slopes))
     best = np.sqrt(np.linalg.inv(information)[:, 1, 1])
-    lanes = BandBatch(
+    batch = BandBatch(
         jnp.asarray(depth),
         jnp.asarray(np.where(mask, seen, 1.0)),
         jnp.asarray(reference),
@@ -173,7 +173,7 @@ def full_casts(count: int = CASTS, seed: int = 21):
         jnp.asarray(mask),
         jnp.zeros((count, 0)),
     )
-    return lanes, log_kd, best
+    return batch, log_kd, best
 
 
 def _both(mask):
@@ -182,8 +182,8 @@ def _both(mask):
 
 def full_statistics(count: int = CASTS, seed: int = 21) -> dict:
     """As `statistics`, for `full_casts`."""
-    lanes, log_kd, best = full_casts(count, seed)
-    fit = fit_band_batch(lanes)
+    batch, log_kd, best = full_casts(count, seed)
+    fit = fit_band_batch(batch)
     error = np.asarray(fit.x)[:, 1] - log_kd
     return _summary(fit, error, best, np.asarray(fit.dof))
 

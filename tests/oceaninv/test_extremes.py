@@ -46,7 +46,7 @@ def _in_domain(point) -> bool:
 @settings(max_examples=10, deadline=None, suppress_health_check=list(HealthCheck))
 @given(st.lists(_ARGUMENTS.filter(_in_domain), min_size=1, max_size=16))
 def test_batches_of_mixed_extremes(points):
-    """One bad lane would show in its neighbours: the batch is padded to one size."""
+    """One bad row would show in its neighbours: the batch is padded to one size."""
     padded = np.resize(np.array(points, dtype=float), (POINTS, len(_CASE.corners)))
     value, slope = _extremes.program(_CASE)(jnp.asarray(padded))
     assert np.isfinite(value).all()

@@ -82,7 +82,7 @@ def piecewise_linear_fit(depth, light, floor, mask) -> "PiecewiseLinearFit":
 
 
 def _search(cast: "PiecewiseLinearFit", used: np.ndarray, most: int) -> list[list[float]]:
-    """The best interfaces for 1, 2 ... layers, as far as there is room."""
+    """The best interfaces for 1, 2 ... layers, as far as layers stay thick enough."""
     places = _places(used)
     found: list[list[float]] = [[]]
     while len(found) < most:
@@ -138,7 +138,7 @@ def _outliers(log_light: np.ndarray, mask: np.ndarray) -> np.ndarray:
 
 
 def _forward_selection(cast: "PiecewiseLinearFit", used, interfaces, places) -> list[float]:
-    """The best interfaces with one more; [] where there is no room."""
+    """The best interfaces with one more; [] where layers would be too thin."""
 
     def best_place(others) -> tuple[float, list[float]]:
         tried = [sorted([*others, float(place)]) for place in places]

@@ -119,7 +119,7 @@ def _sparse(word: UInt32[Array, "..."]) -> UInt32[Array, "..."]:
 def places(
     height: Float[Array, "unit walk"], steepness: Float[Array, "unit walk"]
 ) -> Int[Array, "unit walk"]:
-    """Lanes along Morton's curve through the square of two coordinates from 0 to 1."""
+    """Walks ordered along Morton's curve through the square of two coordinates from 0 to 1."""
     count = height.shape[1]
     top = 2**_DEPTH_BITS
     cells = [jnp.clip(v * top, 0, top - 1).astype(jnp.uint32) for v in (height, steepness)]

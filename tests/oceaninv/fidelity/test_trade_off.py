@@ -119,7 +119,7 @@ def test_trade_writes_rows_and_a_picture(file, tmp_path, monkeypatch):
 
 @pytest.mark.slow
 def test_the_trade_of_a_fit_names_shifts_and_savings(tmp_path, monkeypatch):
-    """Of one model only: it is the dearest."""
+    """Of one model only: it is the reference."""
     monkeypatch.setattr(fit_trade_off, "TRANSPORTS", (oi.TwoStream(),))
     monkeypatch.setattr(fit_trade_off, "TOLERANCES", ())
     stem = tmp_path / "fit"

@@ -78,7 +78,7 @@ def test_intervals_of_reflectances_cover():
     data = fits.to_xarray()
     for name, truth in (("R", EU / ED), ("Rrs", LEAVING * LU / ES), ("KLu", KLU), ("Lu_0", LU)):
         inside = (data[f"{name}_low"] <= truth) & (truth <= data[f"{name}_high"])
-        # 180 lanes, the noise of each its own; a little too wide, as the waves might be correlated.
+        # 180 bands, the noise of each its own; a little too wide, as the waves might be correlated.
         low = binom.ppf(0.005, 180, 0.95) / 180
         assert low <= float(inside.mean()) < 0.99, name
     one = fits[3]

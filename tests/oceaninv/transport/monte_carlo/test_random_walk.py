@@ -106,8 +106,8 @@ def test_flights_drawn_at_another_rate_bring_the_same_light_everywhere(rate, flo
 
 
 def test_lanes_share_the_strata_of_every_number():
-    """Each lane of a unit has one stratum to itself; over units, one lane's numbers are uniform,
-    singly and in pairs, and so are those of two lanes and two events in different strata."""
+    """Each walk of a unit has one stratum to itself; over units, one walk's numbers are uniform,
+    singly and in pairs, and so are those of two walks and two events in different strata."""
     words, units = _random_numbers.key_words(jax.random.key(8)), jnp.arange(2**14, dtype=jnp.uint32)
     path = units[:, None] * jnp.uint32(32) + jnp.arange(32, dtype=jnp.uint32)[None]
 
@@ -137,7 +137,7 @@ def test_the_net_is_sobols_in_the_order_of_its_first_coordinate():
 
 
 def test_scrambled_points_stay_a_net_and_are_uniform_one_by_one():
-    """Neighbours in a row share the unit interval; over units, one lane's numbers are uniform,
+    """Neighbours in a row share the unit interval; over units, one walk's numbers are uniform,
     singly and in pairs, within an event and between two."""
     words, units = _random_numbers.key_words(jax.random.key(9)), jnp.arange(2**14, dtype=jnp.uint32)
     first, second = (
@@ -157,7 +157,7 @@ def test_scrambled_points_stay_a_net_and_are_uniform_one_by_one():
 
 
 def test_places_follow_the_curve():
-    """A permutation by unit; lanes of one quarter of the square stand together."""
+    """A permutation by unit; walks of one quarter of the square stand together."""
     height, steep = np.random.default_rng(1).uniform(size=(2, 3, 64))
     place = np.asarray(_array_rqmc.places(jnp.asarray(height), jnp.asarray(steep)))
     np.testing.assert_array_equal(np.sort(place, axis=1), np.tile(np.arange(64), (3, 1)))
