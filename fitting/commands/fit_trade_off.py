@@ -24,9 +24,11 @@ TOLERANCES = (0.1, 0.03)
 
 @dataclasses.dataclass(frozen=True)
 class FitRow:
-    """One model of the light: constituents with their 95 % intervals; `shift` of their coordinates
-    from those of the most expensive model, in its standard deviations; processor seconds per fit, beside
-    the most expensive model's."""
+    """One model of the light: constituents with their 95 % intervals.
+
+    `shift`: of their coordinates from those of the most expensive model, in its standard
+    deviations; `seconds`: processor time per fit; `share`: of that model's.
+    """
 
     model: str
     seconds: float

@@ -5,8 +5,9 @@ posterior of C, a_y, a_d and the scattering ratio of detritus is a long curved r
 these four everything else (gains, exposures, ranges, light on charts) is nearly Gaussian.  So the
 rest is drawn from the Gaussian about its conditional optimum, which Gauss-Newton finds, and the
 four in coordinates v + ln v, v a concentration by its size: linear above that size, where readings
-are nearly linear in concentrations, logarithmic below, where priors are all there is.  They are drawn from a Student-t
-about the optimum, then, ROUNDS times, from kernels about what the draws so far, weighted, say (West
+are nearly linear in concentrations, logarithmic below, where priors are all there is.  They are
+drawn from a Student-t about the optimum, then, ROUNDS times, from kernels about what the draws so
+far, weighted, say (West
 1993, Journal of the Royal Statistical Society B 55:409).  Weights are the posterior by the mixture
 of all rounds' densities (Owen & Zhou 2000, Journal of the American Statistical Association 95:135).
 How heavy their tail is, by the shape k of a generalised Pareto (Vehtari et al. 2024, Journal of

@@ -76,7 +76,7 @@ def _views(rng, zenith: float) -> np.ndarray:
     """Directions beyond 20 degrees of the refracted sun and off the horizon, then a camera's."""
     sine = np.sin(np.radians(zenith)) / 1.34
     sun = np.array([sine, 0.0, -np.sqrt(1 - sine**2)])
-    # Spread evenly over one side of the sun's plane, so that the percentile does not depend on the draw.
+    # Spread evenly over one side of the sun's plane: the percentile does not depend on the draw.
     count, found = DIRECTIONS + 2, np.zeros((0, 3))
     while len(found) != DIRECTIONS:
         index, (shift, turn) = np.arange(count), rng.random(2)

@@ -21,7 +21,8 @@ def light(depth=DEPTH):
 
 
 def table(names, columns, mark=",", decimal="."):
-    rows = [mark.join(f"{v:.8g}".replace(".", decimal) for v in row) for row in zip(*columns, strict=True)]
+    cells = [[f"{v:.8g}".replace(".", decimal) for v in row] for row in zip(*columns, strict=True)]
+    rows = [mark.join(row) for row in cells]
     return "\n".join([mark.join(names), *rows]) + "\n"
 
 

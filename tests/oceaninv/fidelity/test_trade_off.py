@@ -126,7 +126,7 @@ def test_the_trade_of_a_fit_names_shifts_and_savings(tmp_path, monkeypatch):
     assert cli.run(["trade", "--fit", CAST, "-o", str(stem), "--repeats", "1"]) == 0
     (row,) = csv.DictReader(stem.with_suffix(".csv").read_text().splitlines())
     assert row["model"] == "TwoStream()"
-    assert float(row["share_of_dearest"]) == 1.0
+    assert float(row["share_of_reference"]) == 1.0
     assert float(row["cdom_shift_sd"]) == 0.0
     assert float(row["cdom_low"]) < float(row["cdom"]) < float(row["cdom_high"])
     assert stem.with_suffix(".png").stat().st_size > 1000
