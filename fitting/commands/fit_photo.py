@@ -11,6 +11,8 @@ from fitting.commands.shared_options import (
     SolarZenith,
     Tolerance,
     check_outputs,
+    known_values,
+    number_with_sd,
     preload,
     print_doubt,
     print_water,
@@ -88,7 +90,7 @@ def fit_photo_command(
         )
     if len(paths) > 1 and picture_of is not None:
         raise ValueError("--picture belongs to one photograph: fit it alone to take its water out.")
-    known = dict(_known(text) for text in know or ())
+    known = known_values(know or [])
     if robust is not None and not robust > 0:
         raise ValueError(f"--robust is {robust:g}; a positive number wanted.")
     stem = output or Path(f"{paths[0].stem}_fit")
@@ -168,24 +170,10 @@ def _without_water(fit, photo, shown, stem: Path, overwrite: bool) -> list[tuple
     return [("Without the water", png), ("Where the fitted water does not suit", residual)]
 
 
-def _known(text: str) -> tuple[str, tuple[float, float]]:
-    """(name, (value, standard deviation)) from "cdom=0.12+-0.01"."""
-    name, _, numbers = text.partition("=")
-    value, _, spread = numbers.partition("+-")
-    try:
-        return name.strip(), (float(value), float(spread))
-    except ValueError:
-        raise ValueError(f"--know is {text!r}; write name=value+-sd, as cdom=0.12+-0.01.") from None
-
-
 def _depth(text: str) -> tuple[float, float]:
     """(metres, relative standard deviation) from "5" or "5+-2"."""
-    value, _, spread = text.partition("+-")
-    try:
-        metres = float(value)
-        relative = float(spread) / metres if spread else 0.02
-    except (ValueError, ZeroDivisionError):
-        raise ValueError(f"--depth is {text!r}; write metres as 5 or 5+-2.") from None
-    if not (metres > 0 and relative > 0):
-        raise ValueError(f"--depth is {text!r}; depth and its spread must be positive.")
-    return metres, relative
+    found = number_with_sd(text)
+    if found is None:
+        raise ValueError(f"--depth is {text!r}; write metres as 5 or 5+-2, both positive.")
+    metres, sd = found
+    return metres, 0.02 if sd is None else sd / metres

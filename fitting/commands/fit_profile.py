@@ -16,10 +16,12 @@ from fitting.commands.shared_options import (
     SolarZenith,
     Tolerance,
     check_outputs,
+    known_values,
     preload,
     print_doubt,
     print_water,
     status,
+    transport_class,
     with_endings,
 )
 from oceaninv.foundation.provenance import current, record_inputs
@@ -32,11 +34,7 @@ if TYPE_CHECKING:
     from fitting.profile.kd.smooth_kd import SmoothKd
 
 # Those that are the same for every water and cheap enough to fit with.
-TRANSPORTS = {
-    "two-stream": "TwoStream",
-    "four-stream": "FourStream",
-    "plane-parallel": "PlaneParallel",
-}
+_TRANSPORTS = ("two-stream", "four-stream", "plane-parallel")
 
 
 def fit_profile_command(
@@ -72,7 +70,7 @@ def fit_profile_command(
     transport: Annotated[
         str | None,
         typer.Option(
-            help=f"Model of the light for constituents: {', '.join(TRANSPORTS)}; "
+            help=f"Model of the light for constituents: {', '.join(_TRANSPORTS)}; "
             "two-stream if neither it nor a tolerance is given."
         ),
     ] = None,
@@ -122,7 +120,7 @@ def fit_profile_command(
     depth_range = None
     if low is not None or high is not None:
         depth_range = (low or 0.0, 1e5 if high is None else high)
-    count, priors = _layers(layers), _known(know or [])
+    count, priors = _layers(layers), _priors(know or [])
     wanted = _Wanted(depth_range, count, kd_only, transport, tolerance, priors, smooth, sample)
     profile = _one_profile(paths, reading, merge, cluster)
     if profile is None:
@@ -156,7 +154,12 @@ class _Wanted:
             raise ValueError("--tolerance chooses the transport: leave out it or --transport.")
         if self.sample and self.kd_only:
             raise ValueError("--sample draws constituents: leave out it or --kd-only.")
-        _transport(self.transport)
+        self.named(self.transport)
+
+    @staticmethod
+    def named(name: str | None):
+        """The transport of that name, two-stream by default."""
+        return transport_class(name or "two-stream", _TRANSPORTS)()
 
     def model(self) -> dict:
         """Arguments of `fit_profile` for the constituents of one cast."""
@@ -165,7 +168,7 @@ class _Wanted:
         # Layers asked for together with constituents are layers of these.
         layered = self.kd_only is False and self.layers != 1
         name = self.transport or ("plane-parallel" if layered else None)
-        return {"transport": _transport(name), **({"layers": self.layers} if layered else {})}
+        return {"transport": self.named(name), **({"layers": self.layers} if layered else {})}
 
 
 def _one_profile(
@@ -202,7 +205,7 @@ def _archive_task(
         raise ValueError("--sample and --smooth are for one cast.")
     if wanted.tolerance is not None and wanted.kd_only is False:
         raise ValueError("--tolerance is for one cast; name a --transport for archives.")
-    water = _transport(wanted.transport) if wanted.kd_only is False else None
+    water = wanted.named(wanted.transport) if wanted.kd_only is False else None
     if wanted.priors and water is None:
         raise ValueError("--know applies to constituents: add --constituents.")
     return Task(
@@ -335,43 +338,21 @@ def _columns(text: str | None) -> dict[str, str]:
     return {ours.strip(): theirs.strip() for ours, _, theirs in pairs}
 
 
-def _transport(name: str | None):
-    import oceaninv as oi
-
-    name = "two-stream" if name is None else name
-    if name not in TRANSPORTS:
-        from oceaninv.foundation.tables import unknown
-
-        raise unknown("transport", name, list(TRANSPORTS))
-    return getattr(oi, TRANSPORTS[name])()
-
-
-def _known(texts: list[str]) -> dict:
+def _priors(texts: list[str]) -> dict:
     """Priors from "cdom=0.12+-0.01"."""
     from fitting.core.parameters import Parameter
     from fitting.water_model.unknowns import constituents
+    from oceaninv.foundation.tables import unknown
 
     known = {p.name: p for p in constituents()}
     # Of layers, as cdom_2; the fit answers for layers that it does not have.
     of_layers = {f"{p.name}_{i}": p for i in range(1, 10) for p in constituents()}
     priors = {}
-    for text in texts:
-        name, _, rest = text.partition("=")
-        value, _, spread = rest.partition("+-")
+    for name, (value, sd) in known_values(texts).items():
         if name not in known and name not in of_layers:
-            from oceaninv.foundation.tables import unknown
-
             raise unknown("constituent", name, sorted(known))
-        try:
-            centre, sd = float(value), float(spread)
-            if not (centre > 0 and sd > 0):
-                raise ValueError
-        except ValueError:
-            raise ValueError(
-                f"--know is {text!r}; write name=value+-spread, both positive, as cdom=0.12+-0.01."
-            ) from None
         # The coordinate is a logarithm: its spread is the relative one.
-        priors[name] = Parameter(name, centre, sd / centre, unit=(known | of_layers)[name].unit)
+        priors[name] = Parameter(name, value, sd / value, unit=(known | of_layers)[name].unit)
     return priors
 
 

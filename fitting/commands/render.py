@@ -5,10 +5,8 @@ from typing import Annotated, Any
 
 import typer
 
-from fitting.commands.shared_options import Overwrite, check_outputs
+from fitting.commands.shared_options import TRANSPORTS, Overwrite, check_outputs, transport_class
 from oceaninv.foundation.provenance import record_inputs
-
-_TRANSPORTS = ("two-stream", "four-stream", "kd", "plane-parallel", "monte-carlo")
 
 
 def render_command(
@@ -20,7 +18,7 @@ def render_command(
         ),
     ],
     transport: Annotated[
-        str, typer.Option(help="One of " + ", ".join(_TRANSPORTS) + ".")
+        str, typer.Option(help="One of " + ", ".join(TRANSPORTS) + ".")
     ] = "two-stream",
     seed: Annotated[int, typer.Option(help="Of the sensor's noise and of monte-carlo.")] = 0,
     bands: Annotated[int | None, typer.Option(help="Bands instead of the file's.")] = None,
@@ -96,16 +94,11 @@ def render_command(
 def _transport(name: str, found, steps: int, paths: int):
     import oceaninv as oi
 
-    if name not in _TRANSPORTS:
-        raise ValueError(f"--transport is {name!r}; it must be one of {', '.join(_TRANSPORTS)}.")
+    model = transport_class(name)
     if name == "monte-carlo":
-        return oi.MonteCarlo(paths=paths)
-    base = {
-        "two-stream": oi.TwoStream,
-        "four-stream": oi.FourStream,
-        "kd": lambda: oi.KdTransport(found.kd),
-        "plane-parallel": lambda: oi.PlaneParallel(knots=48),
-    }[name]()
+        return model(paths=paths)
+    arguments = {"kd": {"kd": found.kd}, "plane-parallel": {"knots": 48}}.get(name, {})
+    base = model(**arguments)
     scene = found.scene
     waves = scene.surface is not None and scene.surface.waves is not None
     return oi.WithObjects(base, steps) if scene.objects or scene.lamps or waves else base

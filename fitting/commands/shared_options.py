@@ -1,6 +1,8 @@
 """What the commands share: options, tables and the writing of results."""
 
-from collections.abc import Iterable
+import math
+import re
+from collections.abc import Collection, Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -40,6 +42,59 @@ Tolerance = Annotated[
         "chosen."
     ),
 ]
+
+
+# What the commands call the transports; `render` draws with all, fits with some.
+TRANSPORTS = {
+    "two-stream": "TwoStream",
+    "four-stream": "FourStream",
+    "kd": "KdTransport",
+    "plane-parallel": "PlaneParallel",
+    "monte-carlo": "MonteCarlo",
+}
+_WITH_SD = re.compile(
+    r"\s*(?P<value>[-+.,\deE]+?)\s*(?:(?:\+-|\+/-|±)\s*(?P<sd>[-+.,\deE]+)\s*)?", re.ASCII
+)
+
+
+def transport_class(name: str, allowed: Collection[str] = tuple(TRANSPORTS)):
+    """The class of a transport by its name; ValueError where it is not among `allowed`."""
+    import oceaninv as oi
+
+    if name not in allowed:
+        raise ValueError(f"--transport is {name!r}; it must be one of {', '.join(allowed)}.")
+    return getattr(oi, TRANSPORTS[name])
+
+
+def number_with_sd(text: str) -> tuple[float, float | None] | None:
+    """(value, standard deviation or None) from 5, 5+-1, 5±1 or, with decimal commas, 5,5±0,1.
+
+    None where that is not what the text says, or where a number is not positive.
+    """
+    found = _WITH_SD.fullmatch(text)
+    if found is None:
+        return None
+    try:
+        numbers = [float(n.replace(",", ".")) for n in found.groups() if n is not None]
+    except ValueError:
+        return None
+    if not all(0.0 < number < math.inf for number in numbers):
+        return None
+    return numbers[0], numbers[1] if len(numbers) == 2 else None
+
+
+def known_values(texts: Iterable[str]) -> dict[str, tuple[float, float]]:
+    """Value and standard deviation by name, from texts such as "cdom=0.12+-0.01"."""
+    known = {}
+    for text in texts:
+        name, _, numbers = text.partition("=")
+        value, sd = number_with_sd(numbers) or (0.0, None)
+        if sd is None or not name.strip():
+            raise ValueError(
+                f"--know is {text!r}; write name=value+-sd, both positive, as cdom=0.12+-0.01."
+            )
+        known[name.strip()] = (value, sd)
+    return known
 
 
 def status(text: str):

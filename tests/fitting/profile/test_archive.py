@@ -129,9 +129,9 @@ def test_one_hostile_file_is_a_sentence_and_code_3(tmp_path, monkeypatch, capsys
 @pytest.mark.parametrize(
     ("option", "sentence"),
     [
-        (["--know", "cdom=0.12"], "write name=value+-spread"),
+        (["--know", "cdom=0.12"], "write name=value+-sd"),
         (["--know", "cdon=0.1+-0.1"], "'cdon' is unknown"),
-        (["--transport", "six-stream"], "'six-stream' is unknown"),
+        (["--transport", "six-stream"], "'six-stream'; it must be one of two-stream"),
         (["--columns", "depth"], "write ours=theirs"),
         (["--layers", "many"], "write a number or auto"),
     ],
