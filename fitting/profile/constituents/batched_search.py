@@ -17,7 +17,13 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 import oceaninv as oi
-from fitting.core.least_squares import REMAINING, covariance, value_and_jacobian
+from fitting.core.batched_least_squares import (
+    FIRST_DAMPING,
+    levenberg_marquardt_steps,
+    solve_in_chunks,
+)
+from fitting.core.diagnostics import Status
+from fitting.core.least_squares import covariance, value_and_jacobian
 from fitting.core.parameters import Parameters, Prior
 from fitting.core.program_cache import cached_jit
 from fitting.water_model.quantities import water_quantities
@@ -28,10 +34,8 @@ from oceaninv.transport.base import AbstractTransport
 NODES = 12
 # The sum of squares is expanded about the last model: the second round's is the answer's own.
 _ROUNDS = 2
-# Casts of one compiled call, its steps, and how many calls a search may take in a round.
-CHUNK, STEPS, _MOST_PASSES = 16, 4, 100
-# Of Levenberg and Marquardt's method, in units of the prior's scale.
-_DAMPING, _LARGEST_DAMPING, _LONGEST = 0.1, 1e12, 3.0
+# Largest change of a coordinate in a step, in units of the prior's scale.
+_LONGEST = 3.0
 
 
 # On the host until many are stacked.
@@ -186,59 +190,20 @@ def _misfit(layout, grid, beam, transport, prior: Prior, data: Spectra, rows):
     return both
 
 
-def _remaining(residual, jacobian, damping=0.0):
-    """The step to the optimum of the linearised, damped problem, and the standard deviations that
-    it is long, squared."""
-    normal, slope = jacobian.T @ jacobian, jacobian.T @ residual
-    ridge = 1e-14 * jnp.trace(normal) + damping
-    step = -jax.scipy.linalg.solve(
-        normal + ridge * jnp.eye(len(slope), dtype=slope.dtype), slope, assume_a="pos"
-    )
-    return step, -step @ slope
-
-
 def _pass(layout: Parameters, grid, beam, transport: AbstractTransport, prior, data, search):
-    """A few steps of Levenberg and Marquardt's method from where the search stands."""
+    """A few steps of the search from where it stands."""
     rows = _rows(data, search.model)
     both = _misfit(layout, grid, beam, transport, prior, data, rows)
-
-    origin = jnp.asarray(search.x)
-
-    def step(carry):
-        x, residual, jacobian, damping, count, _ = carry
-        move, _ = _remaining(residual, jacobian, damping)
-        move = jnp.clip(move, -_LONGEST, _LONGEST)
-        tried = x + prior.scale * move
-        new, slope = both(tried)
-        along = jacobian @ move
-        predicted = -jnp.sum(along * (residual + 0.5 * along))
-        square = 0.5 * jnp.sum(residual**2)
-        gain = square - 0.5 * jnp.sum(new**2)
-        # A loss below the sum's rounding error is none.
-        rounding = 256.0 * jnp.finfo(x.dtype).eps * square
-        good = jnp.all(jnp.isfinite(new)) & jnp.all(jnp.isfinite(slope))
-        good &= gain >= 0.01 * predicted - rounding
-        trust = jnp.where(gain > 0.75 * predicted, 0.1, jnp.where(gain > 0.25 * predicted, 0.5, 2))
-        damping = jnp.maximum(damping * jnp.where(good, trust, 5.0), 1e-12).astype(x.dtype)
-        x, residual, jacobian = jax.tree.map(
-            lambda new, old: jnp.where(good, new, old),
-            (tried, new, slope),
-            (x, residual, jacobian),
-        )
-        left = _remaining(residual, jacobian)[1]
-        ended = (left <= REMAINING**2) | (damping > _LARGEST_DAMPING)
-        return x, residual, jacobian, damping, count + 1, ended
-
-    start = (origin, *both(origin), search.damping, jnp.zeros((), jnp.int32))
-    bad = ~jnp.all(jnp.isfinite(start[1]))
-    x, residual, jacobian, damping, _, ended = jax.lax.while_loop(
-        lambda carry: (carry[-2] < STEPS) & ~carry[-1], step, (*start, bad)
+    at = levenberg_marquardt_steps(
+        both, jnp.asarray(search.x), search.damping, prior.scale, _LONGEST
     )
-    finite = jnp.all(jnp.isfinite(residual)) & jnp.all(jnp.isfinite(jacobian))
-    close = _remaining(residual, jacobian)[1] <= REMAINING**2
-    code = jnp.where(finite, jnp.where(close, 0, 1), 2).astype(jnp.int32)
-    usable = jnp.where(finite, jacobian / prior.scale[None, :], 0.0)
+    usable = jnp.where(at.code == Status.MODEL_NOT_FINITE, 0.0, at.jacobian / prior.scale[None, :])
+    water = _described(layout, grid, transport, data, rows, at.x, usable, at.code)
+    return water, Search(at.x, at.damping, search.model), at.ended
 
+
+def _described(layout, grid, transport, data: Spectra, rows, x, jacobian, code) -> Water:
+    """Water, quantities and model at `x`, the Jacobian there 0 where it is not finite."""
     shape, up = curve(layout.values(x), grid, transport, data.nodes)
     first = rows[:, 0]
     # A band without a sample has a row of zeros.
@@ -250,7 +215,7 @@ def _pass(layout: Parameters, grid, beam, transport: AbstractTransport, prior, d
         return water_quantities(layout.values(x), np.asarray(grid), transport)
 
     values, slopes = value_and_jacobian(outcome, x)
-    return Water(x, covariance(usable), code, values, slopes, model, up), damping, ended
+    return Water(x, covariance(jacobian), code, values, slopes, model, up)
 
 
 # One program takes every core.  Several, as threads of a cluster's worker would start them, could
@@ -269,39 +234,23 @@ def solve_waters(
     """Searches of casts that share bands, unknowns, the length of their padding and the `beam`
     wavelengths of a and c.
 
-    A chunk takes a few steps at a time, and searches that have ended make room for others: the
-    slowest holds up nobody.
+    Shared out by `fitting.core.batched_least_squares.solve_in_chunks`.
     """
     layout = parameters[0].layout()
     priors = [jax.tree.map(np.asarray, one.prior()) for one in parameters]
-    dtype = np.asarray(priors[0].centre).dtype
-    damping = np.asarray(_DAMPING, dtype)
-    at = [Search(p.centre, damping, d.start) for p, d in zip(priors, data, strict=True)]
-    rounds, passes = [0] * len(data), [0] * len(data)
-    found: dict[int, Water] = {}
-    waiting = list(range(len(data)))
-    while waiting:
-        part, waiting = waiting[:CHUNK], waiting[CHUNK:]
-        whole_chunk = part + part[-1:] * (CHUNK - len(part)) if len(data) > 1 else part
+    damping = np.asarray(FIRST_DAMPING, np.asarray(priors[0].centre).dtype)
+    start = [Search(p.centre, damping, d.start) for p, d in zip(priors, data, strict=True)]
 
-        def stacked(items, whole_chunk=whole_chunk):
-            return jax.tree.map(lambda *leaves: np.stack(leaves), *[items[i] for i in whole_chunk])
-
-        arrays = jax.device_put((stacked(priors), stacked(data), stacked(at)))
+    def advance(problems, at):
+        (prior, seen), at = jax.device_put((problems, at))
         with _ONE_AT_A_TIME:
-            done = _pass_all(layout, arrays[0], grid, beam, transport, *arrays[1:])
-            water, dampings, ended = jax.tree.map(np.asarray, done)
-        for k, i in enumerate(part):
-            own = jax.tree.map(lambda leaf, k=k: leaf[k], water)
-            passes[i] += 1
-            over = bool(ended[k]) or passes[i] >= _MOST_PASSES
-            if over and rounds[i] + 1 == _ROUNDS:
-                found[i] = own
-                continue
-            if over:
-                rounds[i], passes[i] = rounds[i] + 1, 0
-                at[i] = Search(own.x, damping, own.model)
-            else:
-                at[i] = Search(own.x, np.asarray(dampings[k]), at[i].model)
-            waiting.append(i)
-    return [found[i] for i in range(len(data))]
+            done = _pass_all(layout, prior, grid, beam, transport, seen, at)
+            return jax.tree.map(np.asarray, done)
+
+    return solve_in_chunks(
+        list(zip(priors, data, strict=True)),
+        start,
+        advance,
+        lambda water: Search(water.x, damping, water.model),
+        _ROUNDS,
+    )

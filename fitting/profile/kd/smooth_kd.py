@@ -5,6 +5,7 @@ import json
 
 import numpy as np
 
+from fitting.core.batched_least_squares import gauss_newton_with_noise
 from fitting.core.result import Quantity
 from fitting.observations.profile import Profile
 from fitting.profile.kd.cast import FitWindow, cast_of, light_of
@@ -13,7 +14,8 @@ from fitting.profile.kd.layer_selection import piecewise_linear_fit
 KNOTS = 20
 # How far ln Kd bends, as the standard deviation of its second difference from knot to knot.
 _BENDS = 10.0 ** np.linspace(-4.0, 0.5, 19)
-_ROUNDS = 30
+# Of the search: steps at most, and the largest change of a coordinate (ln) in one.
+_ROUNDS, _LONGEST = 30, 0.7
 _CUT = 4.0
 
 
@@ -162,27 +164,18 @@ def _band(window: FitWindow, band: int, knots: np.ndarray):
 
 
 def _search(x, y, path, rows, whitened, count: int, variance: float):
-    """Gauss and Newton's method for one bend: the mode, its covariance, the evidence up to the
-    prior's factor, degrees of freedom left, and what the samples tell."""
-    rounds = 0
-    while True:
-        rounds += 1
+    """The mode for one bend, its covariance, the evidence up to the prior's factor, degrees of
+    freedom left, and what the samples tell."""
+
+    def linear(x):
         Kd = np.exp(np.clip(x[1:], -12.0, 4.0))
         slopes = whitened(np.concatenate([np.ones((len(y), 1)), -path * Kd], axis=1))
-        left = whitened((y - x[0] + path @ Kd)[:, None])[:, 0]
-        information = slopes.T @ slopes / variance + rows.T @ rows
-        ridge = 1e-12 * np.trace(information) / len(x) * np.eye(len(x))
-        covariance = np.linalg.inv(information + ridge)
-        step = covariance @ (slopes.T @ left / variance - rows.T @ (rows @ x))
-        step = np.clip(step, -0.7, 0.7)
-        free = max(count - float(np.sum(covariance * (slopes.T @ slopes))) / variance, 1.0)
-        new = float(left @ left) / free
-        done = np.abs(step).max() < 1e-5 and abs(new / variance - 1.0) < 1e-4
-        x, variance = x + step, new
-        if done or rounds == _ROUNDS:
-            break
-    volume = np.linalg.slogdet(information)[1]
-    pull = rows @ x
-    square = float(left @ left) / variance
-    evidence = -0.5 * (count * np.log(variance) + square + pull @ pull + volume)
-    return x, covariance, evidence, free, slopes.T @ slopes / variance
+        return slopes, whitened((y - x[0] + path @ Kd)[:, None])[:, 0]
+
+    found = gauss_newton_with_noise(linear, x, rows, count, variance, _LONGEST, _ROUNDS)
+    volume = np.linalg.slogdet(found.information)[1]
+    pull = rows @ found.x
+    square = float(found.left @ found.left) / found.variance
+    evidence = -0.5 * (count * np.log(found.variance) + square + pull @ pull + volume)
+    told = found.slopes.T @ found.slopes / found.variance
+    return found.x, found.covariance, evidence, found.freedom, told
