@@ -13,6 +13,7 @@ from fitting.profile.kd.cast import Cast, FitWindow, bands_with_light
 from fitting.profile.kd.noise_statistics import runs_p, whitened
 from fitting.profile.kd.par_depths import light_of_bands, light_of_sensor, light_quantities
 from fitting.profile.kd.reflectances import cast_quantities, upward_notes
+from fitting.profile.kd.ways import ways_of
 
 
 def _band_model(profile: Profile, x: np.ndarray, interfaces: np.ndarray) -> np.ndarray:
@@ -47,6 +48,7 @@ def _metadata(cast: Cast, bands: BandFit) -> dict:
         "self_shading_and_immersion": "not applied",
         "relative_noise": ([float(s) for s in bands.noise] if profile.sigma is None else "given"),
         "noise_correlated_over_m": [float(s) for s in bands.length],
+        "ways_down_and_up": len(ways_of(window)),
     }
     if profile.station:
         metadata["station"] = dict(profile.station)
