@@ -29,47 +29,94 @@ def fit_photo_command(
     ],
     depth: Annotated[
         list[str],
-        typer.Option(help="Depth of the camera in m, as 5 or 5+-2; once, or once a photograph."),
+        typer.Option(
+            help="Depth of the camera in m, as 5 or 5+-2; once, or once a photograph.",
+            rich_help_panel="Sun and camera",
+        ),
     ],
     output: Output = None,
     camera: Annotated[
-        str | None, typer.Option(help='Camera by name; "generic" if unknown.')
+        str | None,
+        typer.Option(
+            help='Camera by name; "generic" if unknown.', rich_help_panel="Sun and camera"
+        ),
     ] = None,
     solar_zenith: SolarZenith = None,
     azimuth: Annotated[
         float | None,
-        typer.Option(help="Heading relative to the sun, degrees: 180 with the sun behind."),
+        typer.Option(
+            help="Heading relative to the sun, degrees: 180 with the sun behind.",
+            rich_help_panel="Sun and camera",
+        ),
     ] = None,
     matrix: Annotated[
-        bool, typer.Option(help="Free 3 x 3 colour matrix (raw developer unknown).")
+        bool,
+        typer.Option(
+            help="Free 3 x 3 colour matrix (raw developer unknown).", rich_help_panel="Model"
+        ),
     ] = False,
     know: Annotated[
         list[str] | None,
-        typer.Option(help="Value known otherwise, as cdom=0.12+-0.01 or Kd_490=0.09+-0.01."),
+        typer.Option(
+            help="Value known otherwise, as cdom=0.12+-0.01 or Kd_490=0.09+-0.01.",
+            rich_help_panel="Model",
+        ),
     ] = None,
     robust: Annotated[
         float | None,
-        typer.Option(help="Standard deviations beyond which a reading counts linearly."),
+        typer.Option(
+            help="Standard deviations beyond which a reading counts linearly.",
+            rich_help_panel="Model",
+        ),
     ] = None,
     tolerance: Tolerance = None,
     response_shift: Annotated[
-        float, typer.Option(help="Standard deviation (nm) of an unknown shift of the response.")
+        float,
+        typer.Option(
+            help="Standard deviation (nm) of an unknown shift of the response.",
+            rich_help_panel="Model",
+        ),
     ] = 0.0,
     picture_of: Annotated[
-        Path | None, typer.Option("--picture", help="The photograph itself, to take its water out.")
+        Path | None,
+        typer.Option(
+            "--picture",
+            help="The photograph itself, to take its water out.",
+            rich_help_panel="Picture without water",
+        ),
     ] = None,
-    range_map: Annotated[Path | None, typer.Option(help="Range map of --picture.")] = None,
+    range_map: Annotated[
+        Path | None,
+        typer.Option(help="Range map of --picture.", rich_help_panel="Picture without water"),
+    ] = None,
     pixels: Annotated[
-        bool, typer.Option("--pixels", help="Fit what is seen in --picture, too, unknown as it is.")
+        bool,
+        typer.Option(
+            "--pixels",
+            help="Fit what is seen in --picture, too, unknown as it is.",
+            rich_help_panel="Picture without water",
+        ),
     ] = False,
     encoding: Annotated[
-        str | None, typer.Option(help="linear or sRGB, for a --picture that does not say.")
+        str | None,
+        typer.Option(
+            help="linear or sRGB, for a --picture that does not say.",
+            rich_help_panel="Picture without water",
+        ),
     ] = None,
     report: Annotated[
-        bool, typer.Option("--report", help="Write STEM.html, a page with everything in it.")
+        bool,
+        typer.Option(
+            "--report",
+            help="Write STEM.html, a page with everything in it.",
+            rich_help_panel="Output",
+        ),
     ] = False,
     sample: Annotated[
-        bool, typer.Option(help="Draw from the posterior (NUTS; minutes, needs blackjax).")
+        bool,
+        typer.Option(
+            help="Draw from the posterior (NUTS; minutes, needs blackjax).", rich_help_panel="Model"
+        ),
     ] = False,
     overwrite: Overwrite = False,
 ) -> None:

@@ -42,14 +42,23 @@ def fit_profile_command(
         list[Path], typer.Argument(help="csv, SeaBASS or netCDF (BGC-Argo) with Ed; one or many.")
     ],
     output: Output = None,
-    low: Annotated[float | None, typer.Option("--from", help="Shallowest depth, m.")] = None,
-    high: Annotated[float | None, typer.Option("--to", help="Deepest depth, m.")] = None,
+    low: Annotated[
+        float | None,
+        typer.Option(
+            "--from", help="Shallowest depth, m.", rich_help_panel="How to read the files"
+        ),
+    ] = None,
+    high: Annotated[
+        float | None,
+        typer.Option("--to", help="Deepest depth, m.", rich_help_panel="How to read the files"),
+    ] = None,
     solar_zenith: SolarZenith = None,
     layers: Annotated[
         str,
         typer.Option(
             help="Layers of constant Kd: a number, or auto to let the data choose; with "
-            "--constituents, of these too (plane-parallel)."
+            "--constituents, of these too (plane-parallel).",
+            rich_help_panel="Model",
         ),
     ] = "1",
     kd_only: Annotated[
@@ -59,50 +68,91 @@ def fit_profile_command(
             help="Fit Kd alone, or constituents too.  [default: constituents of one cast, Kd alone "
             "of many]",
             show_default=False,
+            rich_help_panel="Model",
         ),
     ] = None,
     merge: Annotated[
-        bool, typer.Option(help="All casts given are of one station: fit them as one.")
+        bool,
+        typer.Option(
+            help="All casts given are of one station: fit them as one.",
+            rich_help_panel="How to read the files",
+        ),
     ] = False,
     table: Annotated[
-        Path | None, typer.Option(help="Also write the spectra as TABLE.csv or TABLE.sb (SeaBASS).")
+        Path | None,
+        typer.Option(
+            help="Also write the spectra as TABLE.csv or TABLE.sb (SeaBASS).",
+            rich_help_panel="Output",
+        ),
     ] = None,
     transport: Annotated[
         str | None,
         typer.Option(
             help=f"Model of the light for constituents: {', '.join(_TRANSPORTS)}; "
-            "two-stream if neither it nor a tolerance is given."
+            "two-stream if neither it nor a tolerance is given.",
+            rich_help_panel="Model",
         ),
     ] = None,
     tolerance: Tolerance = None,
     know: Annotated[
-        list[str] | None, typer.Option(help="What is known, as cdom=0.12+-0.01; repeatable.")
+        list[str] | None,
+        typer.Option(
+            help="What is known, as cdom=0.12+-0.01; repeatable.", rich_help_panel="Model"
+        ),
     ] = None,
     unit: Annotated[
-        str | None, typer.Option(help="Unit of Ed where the file states none: 'uW cm-2 nm-1'.")
+        str | None,
+        typer.Option(
+            help="Unit of Ed where the file states none: 'uW cm-2 nm-1'.",
+            rich_help_panel="How to read the files",
+        ),
     ] = None,
     columns: Annotated[
-        str | None, typer.Option(help="The file's columns by ours: depth=z,Ed_490=irr.")
+        str | None,
+        typer.Option(
+            help="The file's columns by ours: depth=z,Ed_490=irr.",
+            rich_help_panel="How to read the files",
+        ),
     ] = None,
     depth_offset: Annotated[
-        float, typer.Option(help="Metres from pressure sensor down to the sensor of Ed.")
+        float,
+        typer.Option(
+            help="Metres from pressure sensor down to the sensor of Ed.",
+            rich_help_panel="How to read the files",
+        ),
     ] = 0.0,
     upward_offset: Annotated[
-        float | None, typer.Option(help="The same to the sensors of Eu and Lu, if it differs.")
+        float | None,
+        typer.Option(
+            help="The same to the sensors of Eu and Lu, if it differs.",
+            rich_help_panel="How to read the files",
+        ),
     ] = None,
     tilt_limit: Annotated[
-        float | None, typer.Option(help="Leave out samples tilted further, degrees.")
+        float | None,
+        typer.Option(
+            help="Leave out samples tilted further, degrees.",
+            rich_help_panel="How to read the files",
+        ),
     ] = None,
     cluster: Annotated[
-        str | None, typer.Option(help="Address of a dask scheduler, for archives.")
+        str | None,
+        typer.Option(help="Address of a dask scheduler, for archives.", rich_help_panel="Output"),
     ] = None,
     smooth: Annotated[
         bool,
-        typer.Option("--smooth", help="Also Kd(z) without layers: group smooth of STEM.nc."),
+        typer.Option(
+            "--smooth",
+            help="Also Kd(z) without layers: group smooth of STEM.nc.",
+            rich_help_panel="Model",
+        ),
     ] = False,
     sample: Annotated[
         bool,
-        typer.Option(help="Draw constituents from the posterior (NUTS; minutes, needs blackjax)."),
+        typer.Option(
+            help="Draw constituents from the posterior (NUTS; minutes, needs blackjax).",
+            rich_help_panel="Model",
+        ),
     ] = False,
     overwrite: Overwrite = False,
 ) -> None:
@@ -387,6 +437,9 @@ def _print_kd(fit: "Fit") -> None:
     if fit.metadata["interfaces_m"]:
         _print_layers(fit)
     _print_surface(fit)
+    ways = fit.metadata["ways_down_and_up"]
+    if ways > 1:
+        print(f"the cast went down and up in {ways} ways, which were fitted each and combined")
     for reason, number in fit.metadata["left_out"].items():
         print(f"{reason}: {number}")
     print(f"search: {fit.result}")

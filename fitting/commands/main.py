@@ -8,26 +8,44 @@ from typing import Annotated
 
 import typer
 
-from fitting.commands import check, fit_photo, fit_profile, plan_and_trade, read_charts, render
+from fitting.commands import (
+    check,
+    fit_photo,
+    fit_profile,
+    plan_and_trade,
+    read_charts,
+    render,
+    template,
+)
 from oceaninv.foundation.provenance import Provenance, recording, version
 
 INPUT_ERROR = 3
 
 app = typer.Typer(
-    add_completion=False,
     no_args_is_help=True,
     pretty_exceptions_enable=False,
     help="Water constituents from underwater light, with honest intervals.",
+    epilog="Exit status: 0 done, 1 check found problems, 2 wrong options, 3 bad input.",
 )
 
 
-app.command("fit-profile")(fit_profile.fit_profile_command)
-app.command("fit-photo")(fit_photo.fit_photo_command)
-app.command("render")(render.render_command)
-app.command("plan")(plan_and_trade.plan_command)
-app.command("trade")(plan_and_trade.trade_command)
-app.command("read-charts")(read_charts.read_charts_command)
-app.command("check")(check.check_command)
+# The commands, each with an example.
+for _command, _example in (
+    (fit_profile.fit_profile_command, "fit-profile cast.csv --layers auto -o cast_fit"),
+    (fit_photo.fit_photo_command, 'fit-photo dive.csv --depth 5+-1 --camera "Nikon D810" --report'),
+    (
+        read_charts.read_charts_command,
+        'read-charts dive.dng --chart "A ColorChecker24 2.5 find" -o dive',
+    ),
+    (check.check_command, "check dive.dng dive.csv"),
+    (render.render_command, "render scene.toml --width 640 -o scene.png"),
+    (plan_and_trade.plan_command, "plan scene.toml --tolerance 0.03"),
+    (plan_and_trade.trade_command, "trade scene.toml --quantity irradiance -o scene_trade"),
+    (template.cameras_command, "cameras"),
+    (template.template_command, "template photo -o dive.csv"),
+):
+    _name = _command.__name__.removesuffix("_command").replace("_", "-")
+    app.command(_name, epilog=f"Example: oceaninv {_example}")(_command)
 
 
 def _print_version(asked: bool | None) -> None:

@@ -14,28 +14,56 @@ def render_command(
     output: Annotated[
         Path,
         typer.Option(
-            "--output", "-o", help=".exr (float, layers), .tif (16 bit, linear) or .png (sRGB)."
+            "--output",
+            "-o",
+            help=".exr (float, layers), .tif (16 bit, linear) or .png (sRGB).",
+            rich_help_panel="Output",
         ),
     ],
     transport: Annotated[
-        str, typer.Option(help="One of " + ", ".join(TRANSPORTS) + ".")
+        str, typer.Option(help="One of " + ", ".join(TRANSPORTS) + ".", rich_help_panel="Model")
     ] = "two-stream",
-    seed: Annotated[int, typer.Option(help="Of the sensor's noise and of monte-carlo.")] = 0,
-    bands: Annotated[int | None, typer.Option(help="Bands instead of the file's.")] = None,
-    width: Annotated[int | None, typer.Option(help="Pixels across instead of the file's.")] = None,
-    steps: Annotated[int, typer.Option(help="Steps along a line of sight for shadows.")] = 48,
-    paths: Annotated[int, typer.Option(help="monte-carlo: paths per pixel.")] = 256,
-    spectral: Annotated[bool, typer.Option("--spectral", help="EXR of every band.")] = False,
-    linear: Annotated[bool, typer.Option("--linear", help="PNG of 16 bits, linear.")] = False,
+    seed: Annotated[
+        int, typer.Option(help="Of the sensor's noise and of monte-carlo.", rich_help_panel="Model")
+    ] = 0,
+    bands: Annotated[
+        int | None, typer.Option(help="Bands instead of the file's.", rich_help_panel="Model")
+    ] = None,
+    width: Annotated[
+        int | None,
+        typer.Option(help="Pixels across instead of the file's.", rich_help_panel="Output"),
+    ] = None,
+    steps: Annotated[
+        int, typer.Option(help="Steps along a line of sight for shadows.", rich_help_panel="Model")
+    ] = 48,
+    paths: Annotated[
+        int, typer.Option(help="monte-carlo: paths per pixel.", rich_help_panel="Model")
+    ] = 256,
+    spectral: Annotated[
+        bool, typer.Option("--spectral", help="EXR of every band.", rich_help_panel="Output")
+    ] = False,
+    linear: Annotated[
+        bool, typer.Option("--linear", help="PNG of 16 bits, linear.", rich_help_panel="Output")
+    ] = False,
     animate: Annotated[
-        int | None, typer.Option(help="Draw this many frames of --rise or --seconds.")
+        int | None,
+        typer.Option(
+            help="Draw this many frames of --rise or --seconds.", rich_help_panel="Animation"
+        ),
     ] = None,
     rise: Annotated[
         float | None,
-        typer.Option(help="Metres that --animate lifts the camera (1; with --seconds 0)."),
+        typer.Option(
+            help="Metres that --animate lifts the camera (1; with --seconds 0).",
+            rich_help_panel="Animation",
+        ),
     ] = None,
     seconds: Annotated[
-        float, typer.Option(help="For which --animate lets the waves of the surface travel.")
+        float,
+        typer.Option(
+            help="For which --animate lets the waves of the surface travel.",
+            rich_help_panel="Animation",
+        ),
     ] = 0.0,
     overwrite: Overwrite = False,
 ) -> None:

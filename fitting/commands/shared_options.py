@@ -24,22 +24,30 @@ Output = Annotated[
         "-o",
         callback=_stem,
         help="Stem of the files to write, STEM.nc and STEM.png; by default INPUT_fit.",
+        rich_help_panel="Output",
     ),
 ]
 Overwrite = Annotated[
     bool,
     typer.Option(
-        "--overwrite", help="Replace files of the results' names that oceaninv did not write."
+        "--overwrite",
+        help="Replace files of the results' names that oceaninv did not write.",
+        rich_help_panel="Output",
     ),
 ]
 SolarZenith = Annotated[
-    float | None, typer.Option(help="Sun zenith angle in air, degrees; unknown if not given.")
+    float | None,
+    typer.Option(
+        help="Sun zenith angle in air, degrees; unknown if not given.",
+        rich_help_panel="Sun and camera",
+    ),
 ]
 Tolerance = Annotated[
     float | None,
     typer.Option(
         help="Largest acceptable model error (relative); the cheapest transport that meets it is "
-        "chosen."
+        "chosen.",
+        rich_help_panel="Model",
     ),
 ]
 

@@ -95,7 +95,7 @@ def read_photo(
         rows = ~is_chart & keep
         backgrounds = [Background(values[rows], zenith[rows], sd[rows])] if rows.any() else []
         name = sheet.header.get("camera", "generic") if camera is None else camera
-        response = None if name == "generic" else oi.spectrum.camera_response(name)
+        response = _response(name)
         photo = Photo(
             charts,
             backgrounds,
@@ -113,6 +113,16 @@ def read_photo(
     except ValueError as error:
         raise ValueError(f"{sheet.path}: {error}") from None
     return photo, int((~keep).sum())
+
+
+def _response(name: str) -> "oi.spectrum.Response | None":
+    """The response of a camera, None for "generic"; ValueError that mentions it for others."""
+    if name.strip().lower() == "generic":
+        return None
+    try:
+        return oi.spectrum.camera_response(name)
+    except ValueError as error:
+        raise ValueError(f"{error} Write generic for a camera that is not among them.") from None
 
 
 def _spectra(sheet: Sheet) -> np.ndarray:
@@ -154,6 +164,8 @@ def patches_of(sheet: Sheet) -> tuple[Bool[np.ndarray, " row"], Float[np.ndarray
         pairs = zip(sheet.texts("target"), sheet.numbers("patch"), strict=True)
         neutral = np.array([not n or bool(target(n).neutral[int(p) - 1]) for n, p in pairs])
     name = sheet.header.get("camera", "generic")
-    known = name in oi.spectrum.camera_names()
-    camera = oi.spectrum.camera_response(name) if known else oi.spectrum.generic_camera()
+    try:
+        camera = oi.spectrum.camera_response(name)
+    except ValueError:
+        camera = oi.spectrum.generic_camera()
     return neutral, spectra @ np.asarray(camera.weights(WAVELENGTH)).T

@@ -222,6 +222,8 @@ def camera_names() -> tuple[str, ...]:
 def camera_response(name: str) -> Response:
     """Measured relative response (R, G, B) of a camera, 380-780 nm by 5 nm, green maximum 1.
 
+    **Arguments:** `name`: one of `camera_names()`, in large or small letters.
+
     **Raises:** `ValueError` with the near names when the camera is not among `camera_names()`.
 
     Source: rawtoaces-data (Academy Software Foundation, A.M.P.A.S.), Apache License 2.0.
@@ -229,10 +231,12 @@ def camera_response(name: str) -> Response:
     >>> camera_response("Nikon D850").channels
     ('R', 'G', 'B')
     """
-    if name not in camera_names():
+    by_letters = {known.lower(): known for known in camera_names()}
+    known = by_letters.get(" ".join(name.split()).lower())
+    if known is None:
         raise tables.unknown("Camera", name, camera_names())
     table = tables.load("cameras")
-    return Response(_channels(table, name), table.wavelength, _RGB)
+    return Response(_channels(table, known), table.wavelength, _RGB)
 
 
 def generic_camera(coefficients: Float[Array, "3"] | None = None) -> Response:
