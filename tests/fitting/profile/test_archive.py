@@ -143,7 +143,7 @@ def test_bad_options_are_sentences(option, sentence, tmp_path, capsys):
 
 
 @pytest.mark.slow
-def test_a_cluster_writes_the_same_as_one_process(tmp_path):
+def test_a_cluster_writes_the_same_bytes_as_one_process(tmp_path):
     from distributed import LocalCluster
 
     many = casts(6)
@@ -160,8 +160,6 @@ def test_a_cluster_writes_the_same_as_one_process(tmp_path):
     assert sum(o.casts for o in outcomes) == 6
     assert [len(o.problems) for o in outcomes if o.path.name == "broken.csv"] == [1]
     for path in files[:-1]:
-        with (
-            xr.open_dataset(tmp_path / "one" / f"{path.name}.kd.nc") as one,
-            xr.open_dataset(tmp_path / "many" / f"{path.name}.kd.nc") as two,
-        ):
-            np.testing.assert_allclose(one.Kd, two.Kd, rtol=1e-12)
+        name = f"{path.name}.kd.nc"
+        one, two = (tmp_path / folder / name for folder in ("one", "many"))
+        assert one.read_bytes() == two.read_bytes()
