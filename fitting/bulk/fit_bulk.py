@@ -1,6 +1,7 @@
 """Measured spectra of absorption and scattering to the constituents of a medium."""
 
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -10,7 +11,7 @@ from jaxtyping import Array, ArrayLike, Bool, Float, Num
 
 from fitting.bulk.media import AbstractMedium, Populations
 from fitting.core.diagnostics import Status
-from fitting.core.least_squares import covariance, least_squares
+from fitting.core.least_squares import check_solver, covariance, least_squares
 from fitting.core.parameters import Parameter, Parameters, Prior
 from fitting.core.result import Fit, Predictive, derived_quantity
 from fitting.observations.bulk import Bulk
@@ -49,7 +50,7 @@ class _Readings(eqx.Module):
 
 
 @eqx.filter_jit
-def _solve(medium, layout: Parameters, prior: Prior, grid, readings: _Readings):
+def _solve(medium, layout: Parameters, prior: Prior, grid, readings: _Readings, solver):
     """Optimum, relative noise, degrees of freedom; one program for any subset of a, b and c."""
     shape, size = readings.values.shape, readings.values.size
 
@@ -61,7 +62,7 @@ def _solve(medium, layout: Parameters, prior: Prior, grid, readings: _Readings):
     def search(x, model, noise):
         """A round with its model, noise and degrees of freedom."""
         sd = readings.spread(model, noise)
-        optimum = least_squares(residual, x, sd, prior.scale)
+        optimum = least_squares(residual, x, sd, prior.scale, solver=solver)
         data, slope = optimum.residual[:size].reshape(shape), optimum.jacobian[:size]
         # Readings less the number of unknowns that they, rather than the priors, determine.
         fitted = jnp.sum((slope @ covariance(optimum.jacobian)) * slope)
@@ -91,6 +92,7 @@ def fit_bulk(
     host_index: Num[ArrayLike, "..."] | None = None,
     *,
     priors: Mapping[str, Parameter] | None = None,
+    solver: Any = None,
 ) -> Fit:
     """Fit the constituents of a medium to its measured absorption, scattering or attenuation.
 
@@ -102,6 +104,9 @@ def fit_bulk(
     - `host_index`: n + ik, a number or (wl,), needed for populations.
     - `priors`: parameters to exchange by name, for instance a known exponent:
       `{"algae_exponent": Parameter("algae_exponent", 4.0, 0.01, Identity())}`.
+    - `solver`: of the search: an `optimistix.AbstractLeastSquaresSolver` or
+      `optimistix.AbstractMinimiser`, as `optimistix.BFGS(rtol=1e-6, atol=1e-6)`, or
+      `fitting.core.jaxopt_solver.BoundedSolver()`; Levenberg-Marquardt unless given.
 
     **Returns** a `Fit` with the quantities "a", "b" and "c" of the model at the wavelengths of the
     readings.  `metadata["misfit"]` is the rms residual in standard deviations: well above 1 with a
@@ -110,6 +115,7 @@ def fit_bulk(
 
     The model is compiled once per set of wavelengths; time grows with the largest sphere.
     """
+    check_solver(solver)
     if not isinstance(medium, AbstractMedium):
         if host_index is None:
             raise ValueError("host_index is needed where the medium is given as populations.")
@@ -127,6 +133,7 @@ def fit_bulk(
         parameters.prior(),
         tuple(bulk.wavelength.tolist()),
         _readings(bulk),
+        solver,
     )
     return _result(bulk, medium, parameters, optimum, *map(np.asarray, numbers))
 

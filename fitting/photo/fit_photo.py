@@ -2,6 +2,7 @@
 
 import dataclasses
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -13,6 +14,7 @@ import oceaninv as oi
 from fitting.core.diagnostics import Status
 from fitting.core.least_squares import (
     Optimum,
+    check_solver,
     covariance,
     curvature,
     value_and_jacobian,
@@ -88,13 +90,21 @@ def scale_noise(problem: PhotoProblem, factor) -> PhotoProblem:
     )
 
 
+def _solve(problem: PhotoProblem, starts: Float[Array, "start unknown"], solver: Any = None):
+    """`_derived` of the best of the optima from several starts."""
+    if solver is None:
+        return _solve_starts(problem, starts, None)
+    # A solver may hold functions that cannot be stored with the program.
+    return _solve_starts.jitted(problem, starts, solver)
+
+
 @cached_jit
-def _solve(problem: PhotoProblem, starts: Float[Array, "start unknown"]):
+def _solve_starts(problem: PhotoProblem, starts: Float[Array, "start unknown"], solver):
     """The best of the optima from several starts, found together."""
     if starts.shape[0] == 1:
-        optimum = search(problem, starts[0])
+        optimum = search(problem, starts[0], solver)
     else:
-        optima = jax.vmap(lambda start: search(problem, start))(starts)
+        optima = jax.vmap(lambda start: search(problem, start, solver))(starts)
         sums = jnp.sum(optima.residual**2, axis=1)
         # An optimum beats a search that stopped short, whatever their sums.
         order = jnp.where(optima.code == Status.CONVERGED, sums, sums + 1e30)
@@ -153,6 +163,7 @@ def fit_photo(
     robust: float | None = None,
     starts: int = 1,
     tolerance: float | None = None,
+    solver: Any = None,
 ) -> Fit:
     """Fit one or many photographs of one water.
 
@@ -175,6 +186,10 @@ def fit_photo(
       may bring to a reading.  Where the closed form errs by less than half, evaluations of the
       exact model correct it; elsewhere the cheapest transport within the tolerance is taken, see
       `oceaninv.plan`.  `Fit.plan` says what was done, and what error remains.
+    - `solver`: of the search: an `optimistix.AbstractLeastSquaresSolver` or
+      `optimistix.AbstractMinimiser`, as `optimistix.BFGS(rtol=1e-6, atol=1e-6)`, or
+      `fitting.core.jaxopt_solver.BoundedSolver()`; Levenberg-Marquardt unless given.  Compiled
+      programs of other solvers are not stored between processes.
 
     **Returns** a `Fit`.  Exposure, white balance, the light on each chart, the shape of the
     water's optical properties and the error of the closed form are free nuisances with priors, so
@@ -202,6 +217,7 @@ def fit_photo(
         raise ValueError("no photograph was given.")
     if starts < 1:
         raise ValueError(f"starts is {starts}; give 1 or more.")
+    check_solver(solver)
 
     def solve(model, start, correction=None):
         parameters, problem = _problem(photos, model, priors, matrix, sunlight, know, robust)
@@ -210,7 +226,7 @@ def fit_photo(
             correction = correction or uncorrected(problem)
             problem = dataclasses.replace(problem, correction=correction)
         begin = _starts(parameters, problem, starts) if start is None else jnp.asarray(start)[None]
-        found, stated, factor = _solve(problem, begin), None, 1.0
+        found, stated, factor = _solve(problem, begin, solver), None, 1.0
         for _ in range(_ROUNDS):
             ratio, chi2 = birge_ratio(problem, found[0], found[1])
             stated = chi2 if stated is None else stated
@@ -218,7 +234,7 @@ def fit_photo(
                 break
             factor *= ratio
             problem = scale_noise(problem, ratio)
-            found = _solve(problem, jnp.broadcast_to(found[0].x, begin.shape))
+            found = _solve(problem, jnp.broadcast_to(found[0].x, begin.shape), solver)
         return _result(photos, parameters, problem, *found, stated=stated, factor=factor)
 
     if tolerance is not None and any(photo.lamp for photo in photos):
@@ -237,7 +253,7 @@ def fit_photo(
         return fit
 
     def search_again(problem, x):
-        optimum, cov, *_ = _solve(problem, jnp.asarray(x)[None])
+        optimum, cov, *_ = _solve(problem, jnp.asarray(x)[None], solver)
         return np.asarray(optimum.x), np.sqrt(np.diag(np.asarray(cov)))
 
     stated = scale_noise(fit.problem, 1.0 / (fit.noise_factor or 1.0))

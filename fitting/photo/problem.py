@@ -2,6 +2,7 @@
 
 import dataclasses
 from collections.abc import Sequence
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -253,8 +254,10 @@ def photo_residual(parameters: Parameters, readings, transport, sunlight, prior=
     return residual
 
 
-def search(problem: PhotoProblem, start: Float[Array, " unknown"]) -> Optimum:
+def search(problem: PhotoProblem, start: Float[Array, " unknown"], solver: Any = None) -> Optimum:
     """The optimum of a photo fit.  Pure: jit and vmap it.
+
+    `solver`: as for `fitting.core.least_squares.least_squares`.
 
     The first stage takes the readings as ten times as uncertain: from the priors' centres, exact
     readings can drive the first steps into opaque water, where the derivatives vanish.  With a
@@ -278,7 +281,7 @@ def search(problem: PhotoProblem, start: Float[Array, " unknown"]) -> Optimum:
             proximal = correction.proximal_weight * correction.standardised_step(x)
             return jnp.concatenate([inflated.residual(x), proximal])
 
-        optimum = least_squares(weighted, x, None, problem.prior.scale)
+        optimum = least_squares(weighted, x, None, problem.prior.scale, solver=solver)
         return optimum.x, optimum
 
     _, stages = jax.lax.scan(stage, start, jnp.stack([jnp.asarray(first, start.dtype), one]))

@@ -1,10 +1,13 @@
 """Depth profiles of irradiance to Kd(wl), and to constituents."""
 
+from typing import Any
+
 import jax
 import numpy as np
 
 import oceaninv as oi
 from fitting.core.diagnostics import Status
+from fitting.core.least_squares import check_solver
 from fitting.core.multifidelity import EXACT, AccuracyTarget, corrected_fit, multifidelity_fit
 from fitting.core.parameters import Log, Parameter, Parameters
 from fitting.core.result import Fit
@@ -53,6 +56,7 @@ def fit_profile(
     depth_range: tuple[float, float] | None = None,
     layers: int | None = 1,
     tolerance: float | None = None,
+    solver: Any = None,
 ) -> Fit:
     """Fit a depth profile of irradiance.
 
@@ -77,6 +81,10 @@ def fit_profile(
       cheapest that is good enough for the water found is taken, see `oceaninv.plan`, and what it
       gets wrong there is corrected by one to three looks at the exact light; which, its predicted
       error and the correction stand in `Fit.plan`.
+    - `solver`: of the search for constituents: an `optimistix.AbstractLeastSquaresSolver` or an
+      `optimistix.AbstractMinimiser`, as `optimistix.BFGS(rtol=1e-6, atol=1e-6)`, or
+      `fitting.core.jaxopt_solver.BoundedSolver()`; Levenberg-Marquardt unless given.  Compiled
+      programs of other solvers are not stored between processes.
 
     **Returns** a `Fit` with the quantity "Kd" at the profile's wavelengths (which mean it is
     stands in `metadata["kd_definition"]`).  Without a transport also Ed(0-); where the profile
@@ -85,7 +93,7 @@ def fit_profile(
     bb(550) and a_cdm(440) of the water, from the bands of 380-780 nm, in which all absorption is
     tabulated; other bands are left out and named in `metadata["bands_not_modelled_nm"]`.
     """
-    _check_arguments(profile, transport, priors, layers, tolerance)
+    _check_arguments(profile, transport, priors, layers, tolerance, solver)
     if tolerance is None and transport is None:
         return _fit_kd(cast_of(profile, depth_range, layers))
     if len(profile.beam_wavelength):
@@ -95,13 +103,14 @@ def fit_profile(
     notes = unmodelled_notes(profile.wavelength, bands)
     cast = cast_of(profile if bands.all() else profile.of_bands(bands), depth_range, layers)
     if tolerance is not None:
-        return _fit_within_tolerance(cast, tolerance, transport, priors, notes)
+        return _fit_within_tolerance(cast, tolerance, transport, priors, notes, solver)
     assert transport is not None
-    return _fit_constituents(cast, transport, priors, notes)
+    return _fit_constituents(cast, transport, priors, notes, solver)
 
 
-def _check_arguments(profile: Profile, transport, priors, layers, tolerance) -> None:
+def _check_arguments(profile: Profile, transport, priors, layers, tolerance, solver) -> None:
     """ValueError where arguments of `fit_profile` contradict each other."""
+    check_solver(solver)
     if layers != 1:
         if tolerance is not None:
             raise ValueError("a tolerance chooses among models of one water: leave out layers.")
@@ -109,6 +118,8 @@ def _check_arguments(profile: Profile, transport, priors, layers, tolerance) -> 
             check_layers(transport)
     if transport is None and tolerance is None and priors:
         raise ValueError("priors apply to a fit through a transport; Kd alone has none.")
+    if transport is None and tolerance is None and solver is not None:
+        raise ValueError("a solver applies to a fit through a transport; Kd alone has its own.")
     if len(profile.beam_wavelength):
         if tolerance is not None:
             raise ValueError(
@@ -116,6 +127,8 @@ def _check_arguments(profile: Profile, transport, priors, layers, tolerance) -> 
             )
         if transport is not None and layers != 1:
             raise ValueError("a and c are fitted to one water: leave them or the layers out.")
+        if solver is not None:
+            raise ValueError("a and c are fitted by a batched search: leave out the solver.")
 
 
 def _fit_kd(cast: Cast) -> Fit:
@@ -129,21 +142,21 @@ def _fit_window(window: FitWindow) -> BandFit:
     return fit_windows([window])[0]
 
 
-def _fit_constituents(cast: Cast, transport: AbstractTransport, priors, notes) -> Fit:
+def _fit_constituents(cast: Cast, transport: AbstractTransport, priors, notes, solver) -> Fit:
     bands = _fit_window(cast.window)
     check_light_falls(cast, bands)
     metadata = _metadata(cast, bands) | {"transport": type(transport).__name__} | notes
-    return _constituent_fit(cast, bands, transport, priors, metadata)
+    return _constituent_fit(cast, bands, transport, priors, metadata, solver=solver)
 
 
-def _fit_within_tolerance(cast: Cast, tolerance: float, transport, priors, notes) -> Fit:
+def _fit_within_tolerance(cast: Cast, tolerance: float, transport, priors, notes, solver) -> Fit:
     """The fit by the cheapest model that meets the tolerance, corrected by the exact one."""
     profile, bands = cast.window.profile, _fit_window(cast.window)
     check_light_falls(cast, bands)
 
     def solve(model, start, ratio=None):
         metadata = _metadata(cast, bands) | {"transport": type(model).__name__} | notes
-        return _constituent_fit(cast, bands, model, priors, metadata, start, ratio)
+        return _constituent_fit(cast, bands, model, priors, metadata, start, ratio, solver)
 
     def scene(fit):
         return scene_at(fit.parameters, fit.x, profile.wavelength)
@@ -185,7 +198,9 @@ def _corrected(fit: Fit, transport: AbstractTransport, solve, profile: Profile) 
     return corrected_fit(fit, EXACT, evaluate, lambda x, ratio: solve(transport, x, ratio))
 
 
-def _constituent_fit(cast: Cast, bands, transport, priors, metadata, start=None, ratio=None) -> Fit:
+def _constituent_fit(
+    cast: Cast, bands, transport, priors, metadata, start=None, ratio=None, solver=None
+) -> Fit:
     profile, interfaces = cast.window.profile, cast.window.interfaces
     mask = _used(cast.window, bands)
     parameters = _unknowns(cast.window, bands, priors)
@@ -218,7 +233,7 @@ def _constituent_fit(cast: Cast, bands, transport, priors, metadata, start=None,
     start = prior.centre if start is None else jax.device_put(start)
     problem = CastProblem(parameters.layout(), grid, transport, prior, samples, reach, rounding)
     describe_cast.prepare(problem, start)
-    optimum, cov, fitted = solve_cast(problem, start)
+    optimum, cov, fitted = solve_cast(problem, start, solver)
     values, slopes = describe_cast(problem, optimum.x)
     cov = np.asarray(cov)
     quantities, sensitivity = quantities_of(values, slopes, parameters, cov, units=units)

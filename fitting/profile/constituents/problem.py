@@ -1,5 +1,7 @@
 """The posterior of a cast's constituents: what the search minimises, and what follows from it."""
 
+from typing import Any
+
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
@@ -99,14 +101,23 @@ def _unrounded(depth, interface, width, about):
     return 0.25 * (width[None, :] * jnp.maximum(1.0 - away, 0.0) ** 2) @ more
 
 
-@cached_jit
-def solve_cast(problem: CastProblem, start):
-    """The optimum, its covariance and the model at the samples, NaN at those left out."""
+def solve_cast(problem: CastProblem, start, solver: Any = None):
+    """The optimum, its covariance and the model at the samples, NaN at those left out.
 
+    `solver`: as for `fitting.core.least_squares.least_squares`.
+    """
+    if solver is None:
+        return _solve_cast(problem, start, None)
+    # A solver may hold functions that cannot be stored with the program.
+    return _solve_cast.jitted(problem, start, solver)
+
+
+@cached_jit
+def _solve_cast(problem: CastProblem, start, solver):
     def residual(x, problem):
         return problem.residual(x)
 
-    optimum = least_squares(residual, start, problem, problem.prior.scale)
+    optimum = least_squares(residual, start, problem, problem.prior.scale, solver=solver)
     seen = problem.samples
     data = optimum.residual[: seen.Ed.size].reshape(seen.Ed.shape)
     model = jnp.where(seen.mask, seen.Ed - data * seen.sd, jnp.nan)

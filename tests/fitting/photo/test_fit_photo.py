@@ -5,6 +5,7 @@ import functools
 import jax
 import jax.numpy as jnp
 import numpy as np
+import optimistix as optx
 import pytest
 
 import oceaninv as oi
@@ -332,6 +333,25 @@ def test_another_library_reaches_the_same_optimum():
     sd = np.sqrt(np.diag(fit.covariance))
     # Measured: 1e-6.
     assert np.max(np.abs(np.asarray(other.x) - fit.x) / sd) < 1e-5
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "solver",
+    [optx.Dogleg(1e-8, 1e-8), optx.BFGS(1e-9, 1e-9)],
+    ids=lambda one: type(one).__name__,
+)
+def test_another_solver_ends_at_the_same_optimum(solver):
+    noise = np.random.default_rng(0).standard_normal((9, 3))
+    frame = photo(clean() * (1 + 0.01 * noise))
+    fit, other = fit_photo(frame), fit_photo(frame, solver=solver)
+    assert other.converged
+    assert np.max(np.abs(other.x - fit.x) / np.sqrt(np.diag(fit.covariance))) < 1e-4
+
+
+def test_what_is_no_solver_is_refused_in_a_sentence():
+    with pytest.raises(TypeError, match="solver is 'BFGS'; give a least-squares solver"):
+        fit_photo(photo(clean()), solver="BFGS")
 
 
 def test_fitting_touches_no_configuration():

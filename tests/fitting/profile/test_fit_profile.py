@@ -3,6 +3,7 @@
 import jax
 import jax.numpy as jnp
 import numpy as np
+import optimistix as optx
 import pytest
 
 import oceaninv as oi
@@ -206,6 +207,35 @@ def test_constituents_come_back_from_many_bands_and_not_from_three():
     poor = fit_profile(few, transport=oi.TwoStream())
     assert not all(poor.identifiable[name] for name in truth)
     assert not poor.identifiable["detritus"]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("solver", "apart"),
+    [
+        # Measured with the first four: 7e-7, 6e-7, 8e-7 and 8e-6 standard deviations.
+        (optx.LevenbergMarquardt(1e-8, 1e-8), 1e-6),
+        (optx.Dogleg(1e-8, 1e-8), 1e-6),
+        (optx.BFGS(1e-9, 1e-9), 1e-6),
+        (optx.LBFGS(1e-9, 1e-9), 1e-5),
+        (jaxopt_solver.BoundedSolver(), 1e-5),
+    ],
+    ids=lambda one: type(one).__name__,
+)
+def test_another_solver_ends_at_the_same_water(solver, apart):
+    profile = constituent_cast(oi.spectrum.bands(8))[1]
+    fit = fit_profile(profile, transport=oi.TwoStream())
+    other = fit_profile(profile, transport=oi.TwoStream(), solver=solver)
+    assert other.converged
+    assert np.max(np.abs(other.x - fit.x) / np.sqrt(np.diag(fit.covariance))) < apart
+
+
+def test_what_is_no_solver_is_refused_in_a_sentence():
+    profile = constituent_cast(oi.spectrum.bands(3))[1]
+    with pytest.raises(TypeError, match=r"the class BFGS; give an instance, as BFGS\(rtol=1e-6"):
+        fit_profile(profile, transport=oi.TwoStream(), solver=optx.BFGS)
+    with pytest.raises(ValueError, match="a solver applies to a fit through a transport"):
+        fit_profile(profile, solver=optx.BFGS(1e-6, 1e-6))
 
 
 @pytest.mark.parametrize("depth_range", [(5.0, 25.0), (0.0, 30.0), (0.0, 40.0)])
