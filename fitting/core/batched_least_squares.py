@@ -3,6 +3,14 @@
 Levenberg-Marquardt for many problems of one shape, a few steps a call, so that problems that have
 ended make room for others; and Gauss-Newton with numpy for problems that share their size with
 few others and estimate their own noise.
+
+What optimistix would cost instead, measured on the constituents of 64 casts of 7 bands in chunks of
+16, with the same model, Jacobian and starts, on two cores: `jax.vmap` of `optimistix.least_squares`
+takes 3.1 to 3.2 times the processor time with `optimistix.LevenbergMarquardt(1e-6, 1e-6)`, and 6.1
+to 6.3 times with the trust region of `fitting.core.least_squares`.  The answers agree within 0.01
+standard deviations; the first call, which compiles, costs the same, 13 to 14 s.  A vmapped search
+goes on until the slowest of its chunk has ended (100 to 400 steps), as its end is told by changes
+of x and of the sum, not by the distance to the optimum in standard deviations.
 """
 
 from collections.abc import Callable, Sequence

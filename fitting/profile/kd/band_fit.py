@@ -6,6 +6,15 @@ What one sensor saw on its way down,
 
 with s the light above the surface relative to its median.  Waves focus light: their part is
 relative, may be larger near the surface and is correlated over depth.
+
+The search is written by hand because it is no least-squares problem alone: each step chooses the
+outliers anew and, where errors are not given, the noise.  Measured on 1,050 bands of 100 depths
+with given errors, on two cores, against all of `fit_band_batch`: a vmapped search of optimistix
+before outliers are left out and another afterwards take 1.0 to 1.1 times the processor time with
+`optimistix.GaussNewton`, which limits no step, 1.8 to 2.5 times with the trust region of
+`fitting.core.least_squares` and 6.7 to 7.6 times with `optimistix.LevenbergMarquardt` (1e-6); the
+first call, which compiles, 1.3 to 1.8 times.  With the same outliers the answers agree within 4e-7
+standard deviations.  Where the noise is estimated, each round would need a search of its own.
 """
 
 import functools
