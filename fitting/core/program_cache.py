@@ -2,9 +2,11 @@
 
 import contextlib
 import hashlib
+import hmac
 import os
 import pickle
 import platform
+import secrets
 import threading
 from collections.abc import Callable
 from concurrent.futures import Future
@@ -21,6 +23,9 @@ from jax.experimental import serialize_executable
 
 import oceaninv
 from oceaninv.foundation.atomic_write import atomic_write
+
+# Bytes of a key and of a signature.
+_DIGEST = 32
 
 
 def _folder() -> str | None:
@@ -135,11 +140,41 @@ def _leaves(args) -> list | None:
     return None if any(len(leaf.devices()) > 1 for leaf in leaves) else leaves
 
 
+def _secret(folder: Path) -> bytes | None:
+    """Key by which this user's programs in a folder are signed; made with the folder.
+
+    Unpickling a file runs what is in it, and the folder's name is known to all.  So programs are
+    neither stored nor read where somebody else owns or may write the folder or its key.
+    """
+    with contextlib.suppress(OSError):
+        folder.mkdir(parents=True, exist_ok=True, mode=0o700)
+        path = folder / "key"
+        with contextlib.suppress(FileExistsError):
+            handle = os.open(path, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o600)
+            with os.fdopen(handle, "wb") as file:
+                file.write(secrets.token_bytes(_DIGEST))
+        for place, forbidden in ((folder, 0o022), (path, 0o077)):
+            status = place.stat()
+            if hasattr(os, "getuid") and (
+                status.st_uid != os.getuid() or status.st_mode & forbidden
+            ):
+                return None
+        key = path.read_bytes()
+        return key if len(key) == _DIGEST else None
+    return None
+
+
+def _signature(key: bytes, path: Path, content: bytes) -> bytes:
+    """Of a program under its own name: another program's file does not pass for it."""
+    return hmac.digest(key, path.name.encode() + b"\0" + content, "sha256")
+
+
 def _write(path: Path, content: bytes) -> None:
     with contextlib.suppress(OSError):  # a folder that cannot be written costs time, not the fit
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with atomic_write(path, overwrite=True) as temporary:
-            temporary.write_bytes(content)
+        key = _secret(path.parent)
+        if key is not None:
+            with atomic_write(path, overwrite=True) as temporary:
+                temporary.write_bytes(_signature(key, path, content) + content)
 
 
 @cache
@@ -150,10 +185,18 @@ def _register_lapack() -> None:
 
 
 def _load(path: Path) -> _Program | None:
+    """The stored program; None where there is none, or none that this user signed."""
     try:
-        program, skeleton = pickle.loads(path.read_bytes())
-    except (OSError, EOFError, pickle.UnpicklingError):
+        stored = path.read_bytes()
+    except OSError:
         return None
+    key, content = _secret(path.parent), stored[_DIGEST:]
+    signed = key is not None and hmac.compare_digest(
+        stored[:_DIGEST], _signature(key, path, content)
+    )
+    if not signed:
+        return None
+    program, skeleton = pickle.loads(content)
     _register_lapack()
     call = serialize_executable.deserialize_and_load(*program)
     return _Program(call, jax.tree.structure(skeleton))

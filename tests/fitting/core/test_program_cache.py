@@ -1,5 +1,7 @@
 """Traced programs that outlive the process."""
 
+import os
+import pickle
 from types import SimpleNamespace
 
 import jax.numpy as jnp
@@ -32,7 +34,7 @@ def call(power=2, size=3):
 def test_a_stored_program_is_not_traced_again(folder):
     first, second = call(), call()
     assert TRACES == [2]
-    assert len(list(folder.iterdir())) == 1
+    assert len(list(folder.glob("*.program"))) == 1
     np.testing.assert_array_equal(first["value"], [0.0, 2.0, 8.0])
     np.testing.assert_array_equal(second["value"], first["value"])
     np.testing.assert_array_equal(second["slope"], 2.0)
@@ -43,12 +45,12 @@ def test_other_statics_or_shapes_are_other_programs(folder):
     np.testing.assert_array_equal(call(power=1)["value"], [0.0, 2.0, 4.0])
     assert call(size=4)["value"].shape == (4,)
     assert TRACES == [2, 1, 2]
-    assert len(list(folder.iterdir())) == 3
+    assert len(list(folder.glob("*.program"))) == 3
 
 
 def test_a_broken_file_is_made_anew(folder):
     call()
-    (path,) = folder.iterdir()
+    (path,) = folder.glob("*.program")
     path.write_bytes(path.read_bytes()[:20])
     np.testing.assert_array_equal(call()["value"], [0.0, 2.0, 8.0])
     assert TRACES == [2, 2]
@@ -92,3 +94,59 @@ def test_jax_s_own_cache_and_ours_keep_out_of_each_other_s_way(tmp_path, monkeyp
     assert program_cache._folder() is None
     values["jax_enable_compilation_cache"] = False
     assert program_cache._folder() == str(tmp_path)
+
+
+class _Planted:
+    """What runs a command when it is unpickled."""
+
+    def __init__(self, target):
+        self.target = target
+
+    def __reduce__(self):
+        return os.mkdir, (self.target,)
+
+
+def test_a_planted_file_does_not_run(folder, tmp_path_factory):
+    call()
+    (path,) = folder.glob("*.program")
+    traces = tmp_path_factory.mktemp("planted")
+    signature = path.read_bytes()[:32]
+    for i, start in enumerate((b"", b"\0" * 32, signature)):
+        path.write_bytes(start + pickle.dumps(_Planted(str(traces / str(i)))))
+        np.testing.assert_array_equal(call()["value"], [0.0, 2.0, 8.0])
+    assert list(traces.iterdir()) == []
+
+
+def test_no_damaged_file_is_used(folder):
+    """Cut, changed in one byte, or another program's: the right result every time."""
+    call(power=1)
+    (other,) = folder.glob("*.program")
+    call()
+    (path,) = set(folder.glob("*.program")) - {other}
+    good, rng = path.read_bytes(), np.random.default_rng(0)
+    damaged = [other.read_bytes(), b"", good + b"x"]
+    damaged += [good[:n] for n in rng.integers(1, len(good), 20)]
+    for at in rng.integers(0, len(good), 40):
+        damaged.append(good[:at] + bytes([good[at] ^ 1]) + good[at + 1 :])
+    for content in damaged:
+        path.write_bytes(content)
+        assert program_cache._load(path) is None
+    np.testing.assert_array_equal(call()["value"], [0.0, 2.0, 8.0])
+
+
+@pytest.mark.parametrize("name", ["", "key"])
+def test_a_folder_or_key_that_others_may_change_is_not_trusted(name, folder):
+    call()
+    (folder / name).chmod(0o777)
+    np.testing.assert_array_equal(call()["value"], [0.0, 2.0, 8.0])
+    assert TRACES == [2, 2]
+    (folder / name).chmod(0o700 if name == "" else 0o600)
+    call()
+    assert TRACES == [2, 2]
+
+
+def test_a_new_folder_belongs_to_its_user_alone(tmp_path, monkeypatch):
+    monkeypatch.setattr(program_cache, "_folder", lambda: str(tmp_path / "a" / "programs"))
+    call()
+    assert (tmp_path / "a" / "programs").stat().st_mode & 0o777 == 0o700
+    assert (tmp_path / "a" / "programs" / "key").stat().st_mode & 0o777 == 0o600
