@@ -19,6 +19,7 @@ standard deviations.  Where the noise is estimated, each round would need a sear
 
 import functools
 import itertools
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -171,27 +172,21 @@ def _median(values, mask):
     return 0.5 * (ordered[(count - 1) // 2] + ordered[count // 2])
 
 
-def _fit_band(band: BandBatch):
-    path = thickness(band.depth, band.interfaces)
-    unknowns = path.shape[1] + 1
-    given = band.sigma is not None
-    mask, count = band.mask, jnp.sum(band.mask).astype(band.Ed.dtype)
-    light = jnp.where(mask, (band.Ed - band.dark) / band.reference, 1.0)
-    positive = jnp.maximum(light, 1e-3 * jnp.maximum(band.floor, 1e-300))
-    expected = (RELATIVE_NOISE * positive) ** 2 + band.floor**2
-    if band.sigma is not None:
-        # The errors are given for Ed; `light` is relative to the light above.
-        expected = (jnp.where(mask, band.sigma, 1.0) / band.reference) ** 2
-    relative = positive**2 / expected
-    x = _start(path, jnp.log(positive), jnp.where(mask & (light > 0), relative, 0.0))
+class _Curve(eqx.Module):
+    """What one band is fitted with: its samples, and the thickness of layers above them."""
 
-    def spread(signal, noise, rise=1.0):
-        if band.sigma is not None:
-            return jnp.where(mask, band.sigma, 1.0)
-        return jnp.sqrt((noise * rise * signal) ** 2 + band.floor**2)
+    band: BandBatch
+    path: Float[Array, "depth layer"]
 
-    def linear(state):
-        """Signal and its slopes, and the misfit, at (x, dark in its standard deviations)."""
+    def spread(self, signal, noise, rise: Any = 1.0):
+        """(depth,) standard deviations: given ones, or of waves and electronics."""
+        if self.band.sigma is not None:
+            return jnp.where(self.band.mask, self.band.sigma, 1.0)
+        return jnp.sqrt((noise * rise * signal) ** 2 + self.band.floor**2)
+
+    def linear(self, state):
+        """Signal, its slopes and the misfit at (x, dark in its standard deviations)."""
+        band, path = self.band, self.path
         signal = _signal(state[:-1], path, band.reference)
         Kd = jnp.exp(jnp.clip(state[1:-1], LEAST_LN_KD, _LARGEST_LN_KD))
         dark = jnp.broadcast_to(band.dark_sd, signal.shape)
@@ -199,65 +194,38 @@ def _fit_band(band: BandBatch):
         misfit = band.Ed - signal - band.dark - state[-1] * band.dark_sd
         return signal, jnp.concatenate([slopes * signal[:, None], dark[:, None]], axis=1), misfit
 
-    state = jnp.concatenate([x, jnp.zeros_like(x[:1])])
-    dark_prior = jnp.zeros_like(state).at[-1].set(1.0)
-    bounds = [
-        jnp.full_like(state, ln_kd).at[0].set(ln_ed)
-        for ln_kd, ln_ed in ((LEAST_LN_KD, -_LARGEST_LN_ED), (_LARGEST_LN_KD, _LARGEST_LN_ED))
-    ]
-    signal, _, misfit = linear(state)
-    size = jnp.abs(misfit) / spread(signal, RELATIVE_NOISE)
-    scale = jnp.maximum(1.4826 * _median(size, mask), 1e-4)
-    noise = jnp.minimum(RELATIVE_NOISE * scale, 1.0)
-    # Given errors may be too small; they must not make outliers of everything.
-    scale = jnp.maximum(scale, 1.0) if given else jnp.ones_like(scale)
+    def usual(self, misfit, sd):
+        """(depth,) samples that are no outliers."""
+        return self.band.mask & (jnp.abs(misfit) < CUT * sd)
 
-    rounds = _ROUNDS_GIVEN if given else _ROUNDS
+    def within_bounds(self, state):
+        """The state, held where values stay finite."""
+        low, high = (
+            jnp.full_like(state, ln_kd).at[0].set(ln_ed)
+            for ln_kd, ln_ed in ((LEAST_LN_KD, -_LARGEST_LN_ED), (_LARGEST_LN_KD, _LARGEST_LN_ED))
+        )
+        return jnp.clip(state, low, high)
 
-    def refine(carry, step):
-        state, noise, used = carry
-        signal, jacobian, misfit = linear(state)
-        sd = spread(signal, noise)
-        # Freeze the outlier mask in the last rounds: a borderline sample would oscillate.
-        now = mask & (jnp.abs(misfit) < CUT * scale * sd)
-        used = now if given else jnp.where(step < rounds - _SETTLED, now, used)
-        weight = jnp.where(used, 1.0 / sd**2, 0.0)
-        matrix, right = _weighted(jacobian, weight, misfit)
-        matrix, right = matrix + jnp.diag(dark_prior), right - dark_prior * state
-        move = jnp.clip(_inverse(matrix)[0] @ right, -1.0, 1.0)
-        if not given:
-            freedom = jnp.maximum(jnp.sum(used) - unknowns, 1).astype(noise.dtype)
-            excess = jnp.sum(weight * misfit**2) / freedom
-            updated = jnp.clip(noise * jnp.sqrt(excess), 1e-5, 1.0)
-            # The first rounds still move the curve: the robust scale holds meanwhile.
-            noise = jnp.where(step < 3, noise, updated)
-        # A band without light runs away: it stays finite here and ends as not converged.
-        return (jnp.clip(state + move, *bounds), noise, used), move @ matrix @ move
 
-    (state, noise, _), moved = jax.lax.scan(refine, (state, noise, mask), jnp.arange(rounds))
-    signal, jacobian, misfit = linear(state)
-    sd = spread(signal, noise)
-    used = mask & (jnp.abs(misfit) < CUT * scale * sd)
-    code = jnp.where(jnp.isfinite(moved[-1]), jnp.where(moved[-1] < 1e-4, 0, 1), 2)
-    if given:
+def _fit_band(band: BandBatch):
+    curve = _Curve(band, jnp.asarray(thickness(band.depth, band.interfaces)))
+    state, noise, scale = _robust_start(curve)
+    state, noise, moved = _gauss_newton(curve, state, noise, scale)
+    signal, jacobian, misfit = curve.linear(state)
+    sd = curve.spread(signal, noise)
+    used = curve.usual(misfit, scale * sd)
+    code = jnp.where(jnp.isfinite(moved), jnp.where(moved < 1e-4, 0, 1), 2)
+    if band.sigma is not None:
         matrix, _ = _weighted(jacobian, jnp.where(used, 1.0 / sd**2, 0.0), misfit)
-        covariance = _inverse(matrix + jnp.diag(dark_prior))[0]
-        freedom, length = count - unknowns, jnp.zeros_like(noise)
+        covariance = _inverse(matrix + jnp.diag(_dark_prior(state)))[0]
+        count = jnp.sum(band.mask).astype(band.Ed.dtype)
+        freedom, length = count - (len(state) - 1), jnp.zeros_like(noise)
     else:
-
-        def improve(carry, _):
-            state, used = carry
-            signal, jacobian, misfit = linear(state)
-            sd_of = functools.partial(spread, signal)
-            found = _averaged(band, state, jacobian, misfit, noise, used, sd_of)
-            # Strong waves near the surface are no outliers once they are seen to be usual there.
-            used = mask & (jnp.abs(misfit) < CUT * found[-1])
-            return (state + found[0], used), (*found[1:-1], used)
-
-        (state, _), found = jax.lax.scan(improve, (state, used), None, length=2)
-        covariance, noise, freedom, length, used = jax.tree.map(lambda leaf: leaf[-1], found)
+        state, (covariance, noise, freedom, length, used) = _mean_over_waves(
+            curve, state, noise, used
+        )
     return BandFit(
-        jnp.clip(state, *bounds)[:-1],
+        curve.within_bounds(state)[:-1],
         covariance[:-1, :-1],
         noise,
         freedom,
@@ -265,6 +233,79 @@ def _fit_band(band: BandBatch):
         used,
         code.astype(jnp.int32),
     )
+
+
+def _dark_prior(state):
+    """Weights of the prior: the dark level, in its standard deviations, is known by itself."""
+    return jnp.zeros_like(state).at[-1].set(1.0)
+
+
+def _robust_start(curve: _Curve):
+    """A first state by least absolute deviations, the noise, and the scale of given errors."""
+    band, given = curve.band, curve.band.sigma is not None
+    light = jnp.where(band.mask, (band.Ed - band.dark) / band.reference, 1.0)
+    positive = jnp.maximum(light, 1e-3 * jnp.maximum(band.floor, 1e-300))
+    expected = (RELATIVE_NOISE * positive) ** 2 + band.floor**2
+    if band.sigma is not None:
+        # The errors are given for Ed; `light` is relative to the light above.
+        expected = (jnp.where(band.mask, band.sigma, 1.0) / band.reference) ** 2
+    relative = jnp.where(band.mask & (light > 0), positive**2 / expected, 0.0)
+    x = _start(curve.path, jnp.log(positive), relative)
+    state = jnp.concatenate([x, jnp.zeros_like(x[:1])])
+    signal, _, misfit = curve.linear(state)
+    size = jnp.abs(misfit) / curve.spread(signal, RELATIVE_NOISE)
+    scale = jnp.maximum(1.4826 * _median(size, band.mask), 1e-4)
+    noise = jnp.minimum(RELATIVE_NOISE * scale, 1.0)
+    # Given errors may be too small; they must not make outliers of everything.
+    return state, noise, jnp.maximum(scale, 1.0) if given else jnp.ones_like(scale)
+
+
+def _gauss_newton(curve: _Curve, state, noise, scale):
+    """The state and the noise after a fixed number of steps, and how far the last one went,
+    squared, in standard deviations."""
+    band, given = curve.band, curve.band.sigma is not None
+    rounds, dark_prior = _ROUNDS_GIVEN if given else _ROUNDS, _dark_prior(state)
+
+    def refine(carry, step):
+        state, noise, used = carry
+        signal, jacobian, misfit = curve.linear(state)
+        sd = curve.spread(signal, noise)
+        # Freeze the outlier mask in the last rounds: a borderline sample would oscillate.
+        now = curve.usual(misfit, scale * sd)
+        used = now if given else jnp.where(step < rounds - _SETTLED, now, used)
+        weight = jnp.where(used, 1.0 / sd**2, 0.0)
+        matrix, right = _weighted(jacobian, weight, misfit)
+        matrix, right = matrix + jnp.diag(dark_prior), right - dark_prior * state
+        move = jnp.clip(_inverse(matrix)[0] @ right, -1.0, 1.0)
+        if not given:
+            freedom = jnp.maximum(jnp.sum(used) - (len(state) - 1), 1).astype(noise.dtype)
+            excess = jnp.sum(weight * misfit**2) / freedom
+            updated = jnp.clip(noise * jnp.sqrt(excess), 1e-5, 1.0)
+            # The first rounds still move the curve: the robust scale holds meanwhile.
+            noise = jnp.where(step < 3, noise, updated)
+        # A band without light runs away: it stays finite here and ends as not converged.
+        return (curve.within_bounds(state + move), noise, used), move @ matrix @ move
+
+    start = (state, noise, band.mask)
+    (state, noise, _), moved = jax.lax.scan(refine, start, jnp.arange(rounds))
+    return state, noise, moved[-1]
+
+
+def _mean_over_waves(curve: _Curve, state, noise, used):
+    """The state by the mean over candidates for the waves; covariance, noise, degrees of freedom,
+    correlation length and the samples that are no outliers then."""
+
+    def improve(carry, _):
+        state, used = carry
+        signal, jacobian, misfit = curve.linear(state)
+        sd_of = functools.partial(curve.spread, signal)
+        found = _averaged(curve.band, state, jacobian, misfit, noise, used, sd_of)
+        # Strong waves near the surface are no outliers once they are seen to be usual there.
+        used = curve.usual(misfit, found[-1])
+        return (state + found[0], used), (*found[1:-1], used)
+
+    (state, _), found = jax.lax.scan(improve, (state, used), None, length=2)
+    return state, jax.tree.map(lambda leaf: leaf[-1], found)
 
 
 def _averaged(band, state, jacobian, misfit, noise, used, spread):
