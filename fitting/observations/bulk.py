@@ -13,7 +13,7 @@ from oceaninv.foundation.tables import check_wavelength
 _COEFFICIENTS = ("a", "b", "c")
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
+@dataclasses.dataclass(eq=False, init=False)
 class Bulk:
     """Measured absorption, scattering and beam attenuation of a medium, any of the three.
 
@@ -74,7 +74,7 @@ class Bulk:
             ("mask", mask),
             ("source", source),
         ):
-            object.__setattr__(self, key, value)
+            setattr(self, key, value)
 
     @property
     def masked(self) -> int:

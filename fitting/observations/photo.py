@@ -10,7 +10,7 @@ from fitting.observations.array_checks import as_array
 from oceaninv.foundation.spectrum import Response
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
+@dataclasses.dataclass(eq=False, init=False)
 class Chart:
     """Readings of the patches of one chart in a photograph.
 
@@ -57,12 +57,12 @@ class Chart:
         if not 0 <= distance_sd < 1:
             raise ValueError(f"distance_sd of {name!r} must lie in [0, 1), not {distance_sd}.")
         _set_readings(self, values, sigma, zenith, name)
-        object.__setattr__(self, "reflectance", reflectance)
-        object.__setattr__(self, "distance", float(distance))
-        object.__setattr__(self, "distance_sd", float(distance_sd))
+        self.reflectance = reflectance
+        self.distance = float(distance)
+        self.distance_sd = float(distance_sd)
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
+@dataclasses.dataclass(eq=False, init=False)
 class Background:
     """Readings of open water: the light scattered into lines of sight that end at nothing.
 
@@ -91,10 +91,10 @@ def _set_readings(readings, values, sigma, zenith, name):
     if not np.all((np.asarray(zenith) >= 0) & (np.asarray(zenith) <= 180)):
         raise ValueError(f"zenith of {name!r} must lie between 0 and 180 degrees.")
     for key, value in (("values", values), ("sigma", sigma), ("zenith", zenith), ("name", name)):
-        object.__setattr__(readings, key, value)
+        setattr(readings, key, value)
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
+@dataclasses.dataclass(eq=False, init=False)
 class Pixels:
     """Pixels of things of unknown reflectance at known ranges: reef, sand, rubble.
 
@@ -144,10 +144,10 @@ class Pixels:
             ("sigma", sigma[usable]),
             ("masked", int((~usable).sum())),
         ):
-            object.__setattr__(self, key, value)
+            setattr(self, key, value)
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
+@dataclasses.dataclass(eq=False, init=False)
 class Photo:
     """One photograph: readings of charts and of open water by one camera at one depth.
 
@@ -253,7 +253,7 @@ class Photo:
             ("response_shift", float(response_shift)),
             ("lamp", bool(lamp)),
         ):
-            object.__setattr__(self, key, value)
+            setattr(self, key, value)
 
 
 WAVELENGTH = oi.spectrum.bands(16)

@@ -37,7 +37,7 @@ def only_greys(photo: Photo) -> Photo | None:
     if not coloured:
         return None
     made = copy.copy(photo)
-    object.__setattr__(made, "charts", tuple(charts))
+    made.charts = tuple(charts)
     return made
 
 
