@@ -129,5 +129,5 @@ def test_only_photographs_have_these_assumptions():
     fit = Fit(
         Parameters([]), np.zeros(0), np.zeros((0, 0)), {}, WAVELENGTH, Status.CONVERGED, found, {}
     )
-    with pytest.raises(ValueError, match="of a fit of photographs"):
+    with pytest.raises(ValueError, match="need a fit of photographs"):
         assumptions(fit)
