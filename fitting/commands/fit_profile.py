@@ -439,7 +439,7 @@ def _print_kd(fit: "Fit") -> None:
     _print_surface(fit)
     ways = fit.metadata["ways_down_and_up"]
     if ways > 1:
-        print(f"the cast went down and up in {ways} ways, which were fitted each and combined")
+        print(f"the cast went down or up {ways} times: each way was fitted, then combined")
     for reason, number in fit.metadata["left_out"].items():
         print(f"{reason}: {number}")
     print(f"search: {fit.result}")

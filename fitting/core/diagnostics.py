@@ -38,6 +38,11 @@ class Status(enum.IntEnum):
         4,
         "the chains of the sampler disagree: ask for more draws or give prior knowledge",
     )
+    OUTSIDE_MODEL = (
+        5,
+        "the search converged, but at a water that the model of the light does not describe (some "
+        "derived number is negative): check the data, or take a more accurate transport",
+    )
 
 
 @dataclasses.dataclass(frozen=True)

@@ -234,7 +234,8 @@ class Fit:
 
     @property
     def status(self) -> Status:
-        """How the fit ended; never CONVERGED where a number that is asked for is not finite.
+        """How the fit ended; never CONVERGED where a number that is asked for is not finite, or a
+        derived quantity, all of which are positive, is negative.
 
         A spectral quantity may be NaN in bands without data, but not in all of them.
         """
@@ -243,7 +244,10 @@ class Fit:
         asked = np.array([not p.nuisance for p in self.parameters], dtype=bool)
         finite = np.isfinite(self.centre) & np.isfinite(np.diag(self.covariance))
         good = finite[asked].all() and all(map(_is_finite, self.quantities.values()))
-        return self.ended if good else Status.NUMBERS_NOT_FINITE
+        if not good:
+            return Status.NUMBERS_NOT_FINITE
+        negative = any(np.any(quantity.value < 0) for quantity in self.quantities.values())
+        return Status.OUTSIDE_MODEL if negative else self.ended
 
     @property
     def result(self) -> str:

@@ -144,8 +144,8 @@ def test_the_result_is_the_message_of_the_status():
     short = fit([Parameter("a", 1.0)], [0.0], [0.1], ended=Status.STEP_LIMIT)
     assert not short.converged
     assert short.result == Status.STEP_LIMIT.message
-    assert len({status.message for status in Status}) == len(Status) == 5
-    assert [Status(code).value for code in range(5)] == list(range(5))
+    assert len({status.message for status in Status}) == len(Status) == 6
+    assert [Status(code).value for code in range(6)] == list(range(6))
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf])
@@ -160,6 +160,16 @@ def test_a_number_that_is_not_finite_is_never_converged(where, bad):
     assert "not finite" in one.result
     # What was wrong with the search comes first.
     assert dataclasses.replace(one, ended=Status.STEP_LIMIT).status is Status.STEP_LIMIT
+
+
+def test_a_negative_kd_is_never_converged():
+    """A closed form beyond its domain may give one; all derived quantities are positive."""
+    one = fit([Parameter("a", 1.0)], [0.0], [0.1])
+    kd = Quantity(np.array([0.2, -2.7]), np.array([0.1, 0.1]), "m-1", "Kd")
+    wrong = dataclasses.replace(one, quantities={"Kd": kd})
+    assert wrong.status is Status.OUTSIDE_MODEL
+    assert not wrong.converged
+    assert "does not describe" in wrong.result
 
 
 def test_bands_without_data_and_nuisances_may_lack_numbers():
