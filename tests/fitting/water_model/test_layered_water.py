@@ -199,6 +199,6 @@ def test_the_command_fits_layers(tmp_path, monkeypatch, capsys):
     asked = ["fit-profile", "cast.csv", "--layers", "2", "--constituents", "--to", "15"]
     assert cli.run([*asked, "--solar-zenith", "40"]) == 0
     assert "chlorophyll_2" in capsys.readouterr().out
-    with xr.open_dataset(tmp_path / "cast.nc", group="constituents") as data:
+    with xr.open_dataset(tmp_path / "cast_fit.nc", group="constituents") as data:
         names = [str(name) for name in data.parameter.values]
         assert {"chlorophyll_1", "thickness_1"} <= set(names)
