@@ -12,6 +12,7 @@ from fitting.commands.shared_options import (
     Tolerance,
     check_outputs,
     known_values,
+    noting,
     number_with_sd,
     preload,
     print_doubt,
@@ -168,8 +169,9 @@ def fit_photo_command(
     with status("fitting constituents (the first run compiles)"):
         options = {"know": known, "robust": robust, "tolerance": tolerance}
         fit, said = fit_checked(photos, matrix=matrix, **options)
+    failures: list[str] = []
     if sample:
-        with status("sampling the posterior (minutes)"):
+        with status("sampling the posterior (minutes)"), noting(failures, "the posterior"):
             fit = draw(fit)
     print_doubt(fit)
     if said:
@@ -189,6 +191,8 @@ def fit_photo_command(
 
         write_html(fit, page, pictures, overwrite=overwrite)
         print(f"wrote {page}")
+    if failures:
+        raise ValueError("; ".join(failures))
 
 
 def _shown(picture_of: Path | None, range_map: Path | None, encoding: str | None):

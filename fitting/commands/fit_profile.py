@@ -1,10 +1,8 @@
 """`oceaninv fit-profile`."""
 
-import contextlib
 import dataclasses
 import itertools
 import re
-from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -17,6 +15,7 @@ from fitting.commands.shared_options import (
     Tolerance,
     check_outputs,
     known_values,
+    noting,
     preload,
     print_doubt,
     print_water,
@@ -163,7 +162,9 @@ def fit_profile_command(
     """
     from fitting.files.cast_file import Reading
 
-    units = {} if unit is None else {kind: unit for kind in ("Ed", "Eu", "Lu", "surface")}  # noqa: C420
+    units: dict[str, str] = {}
+    if unit is not None:
+        units = dict.fromkeys(("Ed", "Eu", "Lu", "surface"), unit)
     reading = Reading(
         solar_zenith, units, _columns(columns), depth_offset, upward_offset, tilt_limit
     )
@@ -311,12 +312,12 @@ def _fit_one(profile: "Profile", wanted: _Wanted, files: list[Path], overwrite: 
         layers = len(smooth.interfaces) + 1
         print(f"smooth Kd(z): e^{smooth.evidence:+.1f} times as likely as {layers} layer(s)")
     data, image, *table = files
+    save(data, fit, constituents, smooth, overwrite=overwrite)
+    picture(fit, image, constituents, overwrite=overwrite)
     for path in table:
         from fitting.report.spectra_table import write_spectra
 
         write_spectra(path, fit, constituents, overwrite=overwrite)
-    save(data, fit, constituents, smooth, overwrite=overwrite)
-    picture(fit, image, constituents, overwrite=overwrite)
     print(f"wrote {' and '.join(map(str, files))}")
     if failures:
         raise ValueError("; ".join(failures))
@@ -328,11 +329,11 @@ def _constituents(profile: "Profile", wanted: _Wanted, depth_range, failures) ->
 
     found = None
     message = "fitting constituents (the first run compiles)"
-    with status(message), _noting(failures, "constituents"):
+    with status(message), noting(failures, "constituents"):
         options = {"depth_range": depth_range, "priors": wanted.priors}
         found = fit_profile(profile, **options, **wanted.model())
     if found is not None and wanted.sample:
-        with status("sampling the posterior (minutes)"), _noting(failures, "the posterior"):
+        with status("sampling the posterior (minutes)"), noting(failures, "the posterior"):
             found = draw(found)
     return found
 
@@ -341,18 +342,9 @@ def _smooth(profile: "Profile", depth_range, failures) -> "SmoothKd | None":
     from fitting import smooth_kd
 
     found = None
-    with status("fitting a smooth Kd(z)"), _noting(failures, "a smooth Kd(z)"):
+    with status("fitting a smooth Kd(z)"), noting(failures, "a smooth Kd(z)"):
         found = smooth_kd(profile, depth_range)
     return found
-
-
-@contextlib.contextmanager
-def _noting(failures: list[str], what: str) -> Iterator[None]:
-    """Keep the sentence of a step that fails, so that what was fitted before is still written."""
-    try:
-        yield
-    except ValueError as error:
-        failures.append(f"{what} could not be found: {error}")
 
 
 def _fit_many(paths: list[Path], task: "Task", cluster: str | None) -> None:

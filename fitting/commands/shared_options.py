@@ -1,8 +1,9 @@
 """What the commands share: options, tables and the writing of results."""
 
+import contextlib
 import math
 import re
-from collections.abc import Collection, Iterable
+from collections.abc import Collection, Iterable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -103,6 +104,15 @@ def known_values(texts: Iterable[str]) -> dict[str, tuple[float, float]]:
             )
         known[name.strip()] = (value, sd)
     return known
+
+
+@contextlib.contextmanager
+def noting(failures: list[str], what: str) -> Iterator[None]:
+    """Keep the sentence of a step that fails, so that what was fitted before is still written."""
+    try:
+        yield
+    except ValueError as error:
+        failures.append(f"{what} could not be found: {error}")
 
 
 def status(text: str):

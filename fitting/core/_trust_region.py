@@ -11,8 +11,8 @@ class _TrustRegion(optx.AbstractSearch):
 
     Two differences.  Steps grow as soon as the linear model is roughly right, as the sum of
     squares of these problems has long, curved ridges of nearly equal values.  And a change of the
-    sum below its rounding error counts as no loss: otherwise the last steps are refused for ever
-    and the search never ends.
+    sum below its rounding error counts as no loss: otherwise the search refuses each of its last
+    steps and does not end before its step limit.
     """
 
     def init(self, y, f_info_struct):

@@ -14,7 +14,7 @@ MOST_CORRELATED = 0.98
 
 
 def running_median(values: np.ndarray) -> np.ndarray:
-    """Running median of medians of three (Tukey's ninther), over nine samples along axis 0.
+    """Running median of three medians of three samples each, along axis 0 (Tukey 1978).
 
     Up to one bright or dark sample in each three leaves no trace; unlike means it does not bend
     a monotonic curve.  `scipy.ndimage.median_filter` takes four times as long and 0.12 s to

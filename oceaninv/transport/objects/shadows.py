@@ -280,7 +280,7 @@ def _meet(scene: Scene, rays: Rays) -> tuple[Hits, Bool[Array, " ray"]]:
     floor = _to_floor(scene, rays)
     if floor is not None:
         met = met & ((rays.direction[:, 2] <= 0) | (hit.distance < floor))
-    # A placeholder distance, so that no infinity reaches a gradient.
+    # Rays that meet nothing get a finite distance: an infinite one would make gradients NaN.
     distance = jnp.where(met, hit.distance, 0.0)
     return Hits(distance, hit.normal, hit.reflectance), met
 

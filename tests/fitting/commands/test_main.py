@@ -102,6 +102,19 @@ def test_fit_photo_reports_intervals_on_the_real_frame(tmp_path, capsys):
 
 
 @pytest.mark.slow
+def test_a_fit_to_photographs_is_written_even_where_sampling_fails(tmp_path, monkeypatch, capsys):
+    monkeypatch.setitem(sys.modules, "blackjax", None)
+    charts = str(SCENES / "red_sea_charts.csv")
+    command = ["fit-photo", charts, "--depth", "5+-2", "--sample", "-o", str(tmp_path / "reef")]
+    assert cli.run(command) == 3
+    printed = capsys.readouterr()
+    assert "the posterior could not be found: NUTS needs blackjax" in printed.err
+    assert "wrote" in printed.out
+    with xr.open_dataset(tmp_path / "reef.nc") as data:
+        assert 0.15 < float(data.c_550) < 0.6
+
+
+@pytest.mark.slow
 def test_photographs_at_two_depths_share_the_camera_by_their_exposures(tmp_path, capsys):
     text = (SCENES / "red_sea_charts.csv").read_text()
     files = []
