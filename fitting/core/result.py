@@ -339,7 +339,7 @@ class Fit:
         scalars = [float(q.sd) for q in self.quantities.values() if q.value.ndim == 0]
         asked = [sd for p, sd in zip(self.parameters, self.sd.values(), strict=True)
                  if not p.nuisance]  # fmt: skip
-        return bool(max([*scalars, *asked], default=0.0) > _UNKNOWN_SD)
+        return not all(sd <= _UNKNOWN_SD for sd in [*scalars, *asked])
 
     def to_xarray(self) -> "xarray.Dataset":
         """Everything as a CF-style dataset; see `dataset`."""
@@ -522,10 +522,10 @@ def dataset(fit: Fit) -> "xarray.Dataset":
     """
     import xarray as xr
 
-    return xr.Dataset(*_content(fit))
+    return xr.Dataset(*dataset_content(fit))
 
 
-def _content(fit: Fit) -> tuple[dict, dict, dict]:
+def dataset_content(fit: Fit) -> tuple[dict, dict, dict]:
     """(variables, coordinates, attributes) of `dataset`."""
     numbers = fit.parameter_numbers()
 

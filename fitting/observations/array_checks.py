@@ -1,4 +1,4 @@
-"""What was measured, checked once on the way in."""
+"""Measured values as arrays of the expected number of dimensions."""
 
 import numpy as np
 

@@ -16,9 +16,9 @@ from fitting.core.parameters import Parameter
 from fitting.core.program_cache import cached_jit
 from fitting.core.result import Fit
 from fitting.observations.photo import Photo
-from fitting.photo.fit_photo import Known, _problem
+from fitting.photo.fit_photo import Known, posterior_of
 from fitting.photo.problem import PhotoProblem, predict_all
-from fitting.photo.result import _result
+from fitting.photo.result import photo_result
 from oceaninv.transport.base import AbstractTransport
 
 
@@ -58,7 +58,7 @@ def design(
     if any(photo.pixels is not None for photo in photos):
         raise ValueError("design plans charts and open water; leave pixels out.")
     transport = oi.TwoStream() if transport is None else transport
-    parameters, problem = _problem(photos, transport, priors, matrix, None, know, None)
+    parameters, problem = posterior_of(photos, transport, priors, matrix, None, know, None)
     known = {p.name: p for p in parameters}
     for name in water:
         if name not in known:
@@ -78,4 +78,4 @@ def design(
         for one, (values, _) in zip(problem.readings, seen, strict=True)
     )
     problem = dataclasses.replace(problem, readings=planned)
-    return _result(photos, parameters, problem, *_at(problem, x))
+    return photo_result(photos, parameters, problem, *_at(problem, x))

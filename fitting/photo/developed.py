@@ -55,7 +55,7 @@ def fit_checked(photos: Sequence[Photo], *, matrix: bool = False, **options) -> 
     if matrix or _misfit(fit) <= MISFIT or any(photo is None for photo in greys):
         return fit, ""
     of_greys = fit_photo([photo for photo in greys if photo is not None], **options)
-    if _misfit(of_greys) > MISFIT:
+    if not _misfit(of_greys) <= MISFIT:
         return fit, ""
     freed = fit_photo(photos, matrix=True, **options)
     what = f"greys and colours contradict each other (reduced chi-square {_misfit(fit):.1f}"

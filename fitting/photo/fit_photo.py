@@ -26,7 +26,7 @@ from fitting.core.result import Fit
 from fitting.observations.photo import WAVELENGTH, Photo
 from fitting.photo.exact_correction import refine_with_exact_model, uncorrected
 from fitting.photo.problem import PhotoProblem, prepare, search
-from fitting.photo.result import _result
+from fitting.photo.result import photo_result
 from fitting.water_model.quantities import UNITS
 from fitting.water_model.scene_of_fit import scene_at
 from oceaninv.fidelity.planning import model_label
@@ -127,7 +127,11 @@ def _solved_photographs(stacked: PhotoProblem) -> list:
     return [jax.tree.map(lambda leaf, i=i: leaf[i], found) for i in range(count)]
 
 
-def _problem(photos, transport, priors, matrix, sunlight, know, robust):
+def posterior_of(photos, transport, priors, matrix, sunlight, know, robust):
+    """(parameters, problem) of photographs of one water; arguments as for `fit_photo`.
+
+    Raises ValueError where a value in `know` has no such name or is not positive.
+    """
     parameters, readings, spectrum = prepare(photos, transport, priors, matrix, sunlight)
     names = [*parameters.names, *(n for n in UNITS if n not in ("Kd", "c"))]
     rows = []
@@ -220,7 +224,7 @@ def fit_photo(
     check_solver(solver)
 
     def solve(model, start, correction=None):
-        parameters, problem = _problem(photos, model, priors, matrix, sunlight, know, robust)
+        parameters, problem = posterior_of(photos, model, priors, matrix, sunlight, know, robust)
         if tolerance is not None:
             # A fit and those that correct it share a program.
             correction = correction or uncorrected(problem)
@@ -235,7 +239,7 @@ def fit_photo(
             factor *= ratio
             problem = scale_noise(problem, ratio)
             found = _solve(problem, jnp.broadcast_to(found[0].x, begin.shape), solver)
-        return _result(photos, parameters, problem, *found, stated=stated, factor=factor)
+        return photo_result(photos, parameters, problem, *found, stated=stated, factor=factor)
 
     if tolerance is not None and any(photo.lamp for photo in photos):
         raise ValueError("tolerance chooses a model of daylight; lamplight has one model only.")
@@ -285,7 +289,7 @@ def fit_photos(
     Arguments as in `fit_photo`; a search that fails says so in the `status` of its `Fit`.
     """
     transport = oi.TwoStream() if transport is None else transport
-    made = [_problem([p], transport, priors, matrix, None, None, None) for p in photos]
+    made = [posterior_of([p], transport, priors, matrix, None, None, None) for p in photos]
     first = jax.tree.structure(made[0][1]) if made else None
     shapes = [[leaf.shape for leaf in jax.tree.leaves(problem)] for _, problem in made]
     for p, (_, problem) in enumerate(made):
@@ -310,7 +314,7 @@ def fit_photos(
             jax.tree.map(lambda *leaves: jnp.stack(leaves), *(p for _, p in made))
         )
     return [
-        _result([photo], parameters, problem, *one, stated=float(chi2), factor=float(factor))
+        photo_result([photo], parameters, problem, *one, stated=float(chi2), factor=float(factor))
         for photo, (parameters, problem), one, chi2, factor in zip(
             photos, made, found, stated, factors, strict=True
         )

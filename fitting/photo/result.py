@@ -39,7 +39,7 @@ def _bias_and_second_order_sd(
     return np.where(amounts, amount_bias(sd), 0.0), np.minimum(np.asarray(second_order.sd), sd)
 
 
-def _result(
+def photo_result(
     photos,
     parameters,
     problem: PhotoProblem,
@@ -52,6 +52,11 @@ def _result(
     stated: float | None = None,
     factor: float = 1.0,
 ) -> Fit:
+    """A search that has ended as a `Fit`.
+
+    `stated`: chi-square per reading by the stated noise, from the residuals where None; `factor`:
+    on that noise.
+    """
     readings, cov = problem.readings, np.asarray(cov)
     observed = [np.where(np.asarray(r.mask), np.asarray(r.values), np.nan) for r in readings]
     predictive = Predictive(

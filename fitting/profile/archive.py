@@ -1,6 +1,7 @@
 """Archives of casts: many files, one result each, on this machine or on a dask cluster."""
 
 import dataclasses
+from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
@@ -118,7 +119,10 @@ def _check_results(files: list[Path], todo: list[Path], task: Task) -> None:
         target = result_path(path, task.folder)
         if target.exists():
             if target.resolve() in inputs and not task.overwrite:
-                raise ValueError(f"the result of {path} would replace the input {target}.")
+                raise ValueError(
+                    f"the result of {path} would replace the input {target}: name another folder "
+                    "with -o."
+                )
             check_replaceable(target, overwrite=task.overwrite)
 
 
@@ -136,8 +140,8 @@ def fit_archive(
     """
     task.folder.mkdir(parents=True, exist_ok=True)
     files = [Path(path) for path in paths]
-    names = [path.name for path in files]
-    twice = next((name for name in names if names.count(name) > 1), None)
+    count = Counter(path.name for path in files)
+    twice = next((name for name, number in count.items() if number > 1), None)
     if twice is not None:
         raise ValueError(f"two files are named {twice}: their results would be one file.")
     todo = []

@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from fitting.core.result import Fit, _content
+from fitting.core.result import Fit, dataset_content
 from fitting.files import netcdf_writer
 from oceaninv.foundation.atomic_write import atomic_write
 
@@ -22,9 +22,9 @@ def save(
     """Write a fit as netCDF; constituents and a smooth Kd(z) go into groups of these names."""
     with atomic_write(path, overwrite=overwrite) as temporary:
         temporary.unlink()  # the writer starts from nothing or from a netCDF file, not an empty one
-        netcdf_writer.write(temporary, *_content(fit), mark=True)
+        netcdf_writer.write(temporary, *dataset_content(fit), mark=True)
         if constituents is not None:
-            netcdf_writer.write(temporary, *_content(constituents), group="constituents")
+            netcdf_writer.write(temporary, *dataset_content(constituents), group="constituents")
         if smooth is not None:
             netcdf_writer.write(temporary, *smooth.content(), group="smooth")
 

@@ -27,7 +27,7 @@ from fitting import Background, Chart, Photo, Pixels, fit_photo, fit_photos
 from fitting.core.least_squares import value_and_jacobian
 from fitting.images.chart_targets import target
 from fitting.observations.photo import WAVELENGTH
-from fitting.photo.fit_photo import _problem
+from fitting.photo.fit_photo import posterior_of
 from fitting.photo.forward_model import predict
 from fitting.photo.problem import prepare
 from tests.fitting.photo.test_fit_photo import scenery
@@ -115,7 +115,7 @@ def batch(count: int = 100):
 def vmapped(count: int = 32, repeats: int = 30):
     """Print what a photograph's residuals and Jacobian cost alone and beside others."""
     many = drawn(count, response=oi.spectrum.camera_response("Nikon D850"))
-    problems = [_problem([p], oi.TwoStream(), None, False, None, None, None)[1] for p in many]
+    problems = [posterior_of([p], oi.TwoStream(), None, False, None, None, None)[1] for p in many]
     stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *problems)
 
     def slope(problem):

@@ -218,8 +218,8 @@ def _described(layout, grid, transport, data: Spectra, rows, x, jacobian, code) 
     return Water(x, covariance(jacobian), code, values, slopes, model, up)
 
 
-# One program takes every core.  Several, as threads of a cluster's worker would start them, could
-# wait for ever for each other: see oceaninv/transport/_factors.py.
+# One program takes every core.  Several at a time, as the threads of a cluster's worker would
+# start them, could deadlock: see oceaninv/transport/_factors.py.
 _ONE_AT_A_TIME = threading.Lock()
 
 

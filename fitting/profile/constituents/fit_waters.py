@@ -92,7 +92,10 @@ def unmodelled_notes(wavelength: np.ndarray, bands: np.ndarray) -> dict:
     return {} if not outside else {"bands_not_modelled_nm": outside}
 
 
-def _fit(found: WaterFit, wavelength, predictive: Predictive, metadata: dict, dof=None) -> Fit:
+def described_fit(
+    found: WaterFit, wavelength, predictive: Predictive, metadata: dict, dof=None
+) -> Fit:
+    """A search that has ended as a `Fit` with the quantities of its water."""
     water = found.water
     cov = np.asarray(water.covariance)
     quantities, sensitivity = quantities_of(water.values, water.slopes, found.parameters, cov)
@@ -135,4 +138,4 @@ def water_fit(cast: Cast, bands: BandFit, found: WaterFit) -> Fit:
         "c_used_nm": profile.beam_wavelength[np.asarray(seen.beam_weight)[1] > 0].tolist(),
     }
     metadata |= unmodelled_notes(profile.wavelength, found.bands)
-    return _fit(found, wavelength, predictive, metadata)
+    return described_fit(found, wavelength, predictive, metadata)

@@ -1,4 +1,4 @@
-"""Constituents from what casts say, many at a time: from samples, or from Kd and R themselves."""
+"""Constituents from measured Kd and R, of many stations at a time."""
 
 import dataclasses
 
@@ -12,7 +12,7 @@ from fitting.profile.constituents.batched_search import (
     nodes_and_basis,
     solve_waters,
 )
-from fitting.profile.constituents.fit_waters import WaterFit, _fit
+from fitting.profile.constituents.fit_waters import WaterFit, described_fit
 from fitting.profile.constituents.reduced_data import reflected
 from fitting.water_model.unknowns import (
     absorption_shapes,
@@ -92,7 +92,7 @@ def fit_apparent(
         predicted = _predicted(Kd[i], water)
         predictive = Predictive(seen, predicted, noise * seen, ("wavelength",), "m-1")
         notes = {"source": f"station {i}", "relative_noise": "given" if Kd_sd else noise}
-        fits.append(_fit(one, wavelength, predictive, notes, dof[i]))
+        fits.append(described_fit(one, wavelength, predictive, notes, dof[i]))
     return fits
 
 

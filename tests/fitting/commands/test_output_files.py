@@ -128,7 +128,8 @@ def test_an_archive_replaces_neither_its_inputs_nor_files_of_others(tmp_path, mo
     Path("a.csv.kd.nc").write_text(CAST)
     os.utime("a.csv.kd.nc", (0, 0))
     assert cli.run(["fit-profile", "a.csv", "a.csv.kd.nc", "-o", "."]) == 3
-    assert "would replace the input a.csv.kd.nc" in capsys.readouterr().err
+    said = capsys.readouterr().err
+    assert "would replace the input a.csv.kd.nc: name another folder with -o" in said
 
 
 def test_python_does_not_replace_files_of_others_either(tmp_path):

@@ -21,7 +21,7 @@ def test_identifiable_turns_at_half_a_logarithm_and_four_fifths_of_the_prior(spr
     assert one.identifiable == {"cdom": expected}
 
 
-@pytest.mark.parametrize(("sd", "wide"), [(0.495, False), (0.505, True)])
+@pytest.mark.parametrize(("sd", "wide"), [(0.495, False), (0.505, True), (float("nan"), True)])
 def test_a_fit_is_wide_beyond_half_a_logarithm(sd, wide):
     assert test_result.fit([Parameter("cdom", 0.1)], [0.0], [sd]).wide == wide
     assert not test_result.fit([Parameter("cdom", 0.1, nuisance=True)], [0.0], [sd]).wide
