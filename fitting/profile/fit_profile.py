@@ -25,13 +25,13 @@ from fitting.profile.kd.band_fit import BandFit
 from fitting.profile.kd.batching import fit_windows
 from fitting.profile.kd.cast import Cast, FitWindow, cast_of, light_of, padded_length
 from fitting.profile.kd.result import (
-    _band_model,
-    _metadata,
-    _noise_sd,
-    _predictive,
-    _used,
+    band_model,
     check_light_falls,
     kd_fit,
+    metadata_of,
+    noise_sd,
+    predictive_of,
+    used_samples,
 )
 from fitting.profile.kd.ways import sample_deviations
 from fitting.water_model.layered_water import (
@@ -145,7 +145,7 @@ def _fit_window(window: FitWindow) -> BandFit:
 def _fit_constituents(cast: Cast, transport: AbstractTransport, priors, notes, solver) -> Fit:
     bands = _fit_window(cast.window)
     check_light_falls(cast, bands)
-    metadata = _metadata(cast, bands) | {"transport": type(transport).__name__} | notes
+    metadata = metadata_of(cast, bands) | {"transport": type(transport).__name__} | notes
     return _constituent_fit(cast, bands, transport, priors, metadata, solver=solver)
 
 
@@ -155,7 +155,7 @@ def _fit_within_tolerance(cast: Cast, tolerance: float, transport, priors, notes
     check_light_falls(cast, bands)
 
     def solve(model, start, ratio=None):
-        metadata = _metadata(cast, bands) | {"transport": type(model).__name__} | notes
+        metadata = metadata_of(cast, bands) | {"transport": type(model).__name__} | notes
         return _constituent_fit(cast, bands, model, priors, metadata, start, ratio, solver)
 
     def scene(fit):
@@ -202,9 +202,9 @@ def _constituent_fit(
     cast: Cast, bands, transport, priors, metadata, start=None, ratio=None, solver=None
 ) -> Fit:
     profile, interfaces = cast.window.profile, cast.window.interfaces
-    mask = _used(cast.window, bands)
+    mask = used_samples(cast.window, bands)
     parameters = _unknowns(cast.window, bands, priors)
-    model = _band_model(profile, bands.x, interfaces)
+    model = band_model(profile, bands.x, interfaces)
     extra = padded_length(len(profile.depth)) - len(profile.depth)
 
     def pad(array, fill):
@@ -214,7 +214,7 @@ def _constituent_fit(
     # The model knows neither darkness nor changes of the sun: the data are rid of them.
     light = light_of(profile)
     reference = 1.0 if profile.reference is None else profile.reference
-    sd = _noise_sd(profile, bands, model) / reference
+    sd = noise_sd(profile, bands, model) / reference
     relative = sd / np.maximum(model / reference, 1e-300)
     sd = sd * sample_deviations(profile.depth, profile.segment, mask, relative, bands)
     samples = Samples(
@@ -247,7 +247,7 @@ def _constituent_fit(
         quantities,
         profile.wavelength,
         Status(int(optimum.code)),
-        _predictive(profile, mask, bands, np.asarray(fitted)[: len(profile.depth)]),
+        predictive_of(profile, mask, bands, np.asarray(fitted)[: len(profile.depth)]),
         metadata,
         sensitivity=sensitivity,
         problem=problem,

@@ -100,9 +100,9 @@ class Medium(eqx.Module):
         the grid, and every other wavelength mixes its two neighbours; weights are never negative
         and every shape is fixed, as transports require.  More shapes cost more and mix better:
         over 400-700 nm the North Sea's bb/b is within 3 % with 2 shapes and 1 % with 3, its phase
-        function within 2 % on average (`tests/test_media.py`).  `fit` replaces each shape by a
-        simpler function, for example `fit_lobes`: three Henyey-Greenstein lobes of the same mean
-        cosine.
+        function within 2 % on average (`tests/oceaninv/mie/test_media.py`).  `fit` replaces each
+        shape by a simpler function, for example `fit_lobes`: three Henyey-Greenstein lobes of the
+        same mean cosine.
 
         Scattering by the host's molecules is not part of it.
         """

@@ -123,9 +123,9 @@ def kd_mean(
     This project's own fit to discrete ordinates for endlessly deep water under a flat surface:
     w 0.2-0.98, bb/b 0.005-0.05, sun 0-60 degrees in air, down to 1 % of the light.  Error of K at
     most 2.1 % to the 10 % level, 2.4 % to the 1 % level and 6 % nearer the surface in the waters
-    of `tests/test_attenuation.py` (13 % just below the surface at w = 0.95).  K_deep is an
-    effective constant, not the asymptotic K.  Without scattering K = 1.005 a/mu0; at a = 0 the
-    derivative of K_deep with respect to a, truly infinite, counts as 0.
+    of `tests/oceaninv/water/test_attenuation.py` (13 % just below the surface at w = 0.95).
+    K_deep is an effective constant, not the asymptotic K.  Without scattering K = 1.005 a/mu0; at
+    a = 0 the derivative of K_deep with respect to a, truly infinite, counts as 0.
     """
     mu0 = jnp.asarray(mu0, a.dtype)
     sky = jnp.broadcast_to(jnp.asarray(sky_fraction, a.dtype), a.shape)
@@ -145,7 +145,8 @@ def irradiance_reflectance(
     """R = Eu/Ed just below the surface of endlessly deep water, dimensionless.
 
     R = u (0.293 + 0.96 u - 1.151 u^2)/mu0^1.314 with u = bb/(a + bb).  This project's own fit,
-    same domain as `kd_mean`; error at most 10 % in the waters of `tests/test_attenuation.py`.
+    same domain as `kd_mean`; error at most 10 % in the waters of
+    `tests/oceaninv/water/test_attenuation.py`.
     """
     u = safe_ratio(bb, a + bb)
     return u * (0.293 + 0.96 * u - 1.151 * u**2) / jnp.asarray(mu0, a.dtype) ** 1.314

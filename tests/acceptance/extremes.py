@@ -44,7 +44,7 @@ def main() -> int:
         f"{total} points (each precision counted), {failed} failures, "
         f"{time.process_time() - start[1]:.0f} processor seconds, "
         f"{time.perf_counter() - start[0]:.0f} s.  Domains: "
-        "`tests/_extremes.py`, `tests/_extremes_more.py`.\n\n"
+        "`tests/reference/extremes.py`, `tests/reference/extremes_more.py`.\n\n"
         "| function | arguments | points | failures |\n|---|---|---|---|\n"
     )
     Path(__file__).with_suffix(".md").write_text(head + "\n".join(lines) + "\n")

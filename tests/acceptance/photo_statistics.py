@@ -10,7 +10,7 @@ and 4 m and open water, horizontally; exposure and white balance unknown; 1 % no
 
 - Matched: coastal water (chlorophyll 1.5 mg/m3, CDOM 0.15 /m, detritus 0.08 /m) by the fit's own
   model, every nuisance drawn from its prior.  The bound is Bayesian: information of the readings
-  (central finite differences of `fitting.photo.fit_photo.predict`) and of the priors, at each
+  (central finite differences of `fitting.photo.forward_model.predict`) and of the priors, at each
   draw's truth.
 - Mismatched: the exact photographs of `_mismatched.py`, fitted with the default model.
 - Mismatched, known: the same photographs by a user who knows that the light on the charts is within

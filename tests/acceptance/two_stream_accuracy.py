@@ -342,7 +342,8 @@ def main():
         "`python -m tests.acceptance.two_stream_accuracy`: PythonicDISORT with 24 streams per"
         " hemisphere, internal reflection iterated, radiance from the integrated source function."
         " Converged (against 32 streams and 40 azimuth orders, four cases) to 0.08 % in the median"
-        " and 1.6 % at the 99th percentile; `tests/test_two_stream.py` checks it against published"
+        " and 1.6 % at the 99th percentile; "
+        "`tests/oceaninv/transport/closed_form/test_two_stream.py` checks it against published"
         " values.\n\n"
     )
     Path(__file__).with_suffix(".md").write_text(title + method + report + "\n")

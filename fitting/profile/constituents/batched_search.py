@@ -219,7 +219,8 @@ def _described(layout, grid, transport, data: Spectra, rows, x, jacobian, code) 
 
 
 # One program takes every core.  Several at a time, as the threads of a cluster's worker would
-# start them, could deadlock: see oceaninv/transport/_factors.py.
+# start them, could deadlock: see
+# `oceaninv/transport/plane_parallel/_small_matrix_factorisations.py`.
 _ONE_AT_A_TIME = threading.Lock()
 
 

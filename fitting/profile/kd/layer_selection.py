@@ -163,7 +163,7 @@ def _layers_thick_enough(used, interfaces) -> bool:
 class PiecewiseLinearFit:
     """Continuous straight lines through ln Ed of all bands, bent at shared interfaces.
 
-    `length`: m over which the noise is correlated, found by `measure`.
+    `length`: m over which the noise is correlated, found by `estimate_correlation_length`.
     """
 
     def __init__(self, depth, log_light, weight):

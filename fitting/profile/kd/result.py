@@ -16,23 +16,23 @@ from fitting.profile.kd.reflectances import cast_quantities, upward_notes
 from fitting.profile.kd.ways import ways_of
 
 
-def _band_model(profile: Profile, x: np.ndarray, interfaces: np.ndarray) -> np.ndarray:
+def band_model(profile: Profile, x: np.ndarray, interfaces: np.ndarray) -> np.ndarray:
     """(depth, wl) what band fits `x` (wl, 1 + layer) say that the sensor reads."""
     path = thickness(profile.depth, interfaces)
     light = np.exp(x[None, :, 0] - path @ np.exp(x[:, 1:]).T)
     return profile.dark + (light if profile.reference is None else profile.reference * light)
 
 
-def _used(window: FitWindow, bands: BandFit) -> np.ndarray:
+def used_samples(window: FitWindow, bands: BandFit) -> np.ndarray:
     """(depth, wl) the samples of the window that were not outliers."""
     used = np.zeros_like(window.mask)
     used[: window.rows] = bands.used[:, : window.rows].T
     return used & window.mask
 
 
-def _metadata(cast: Cast, bands: BandFit) -> dict:
+def metadata_of(cast: Cast, bands: BandFit) -> dict:
     window, profile = cast.window, cast.window.profile
-    used = _used(window, bands)
+    used = used_samples(window, bands)
     counts = dict(profile.counts)
     counts["missing, zero or negative"] = profile.masked
     counts["outliers"] = int((window.mask & ~used).sum())
@@ -113,16 +113,16 @@ def kd_fit(cast: Cast, fits: Mapping[str, BandFit]) -> Fit:
     dof = None if profile.sigma is not None else np.tile(bands.dof, unknowns)
     quantities = cast_quantities(cast, fits)
     depths, notes = light_depths(cast, bands)
-    model = _band_model(profile, x, interfaces)
-    metadata = _metadata(cast, bands) | notes
+    model = band_model(profile, x, interfaces)
+    metadata = metadata_of(cast, bands) | notes
     metadata |= upward_notes(cast)
     metadata["interfaces_m"] = interfaces.tolist()
     metadata["bands_without_light_nm"] = profile.wavelength[~bright].tolist()
     failed = bands.code != Status.CONVERGED
     metadata["bands_not_converged_nm"] = profile.wavelength[failed].tolist()
-    predictive = _predictive(profile, mask, bands, model)
+    predictive = predictive_of(profile, mask, bands, model)
     left = (predictive.observed - model) / predictive.sd
-    left = np.where(_used(window, bands), left, np.nan)
+    left = np.where(used_samples(window, bands), left, np.nan)
     white = whitened(left, profile.depth, np.nan_to_num(bands.length))
     # Noise may be independent or waves of the length found: the test rejects what is neither.
     metadata["runs_test_p"] = [
@@ -141,18 +141,18 @@ def kd_fit(cast: Cast, fits: Mapping[str, BandFit]) -> Fit:
     )
 
 
-def _noise_sd(profile: Profile, bands: BandFit, model: np.ndarray) -> np.ndarray:
+def noise_sd(profile: Profile, bands: BandFit, model: np.ndarray) -> np.ndarray:
     if profile.sigma is not None:
         return profile.sigma
     return np.hypot(bands.noise * (model - profile.dark), profile.floor)
 
 
-def _predictive(profile, mask, bands, model) -> Predictive:
+def predictive_of(profile, mask, bands, model) -> Predictive:
     observed = np.where(mask, profile.Ed, np.nan)
     return Predictive(
         observed,
         model,
-        _noise_sd(profile, bands, model),
+        noise_sd(profile, bands, model),
         ("depth", "wavelength"),
         "W m-2 nm-1",
         {"depth": profile.depth},

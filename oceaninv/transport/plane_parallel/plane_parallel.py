@@ -404,7 +404,8 @@ class PlaneParallel(AbstractTransport):
       knots increase the error of a ray by 1e-3 at most (`test_knots`) at a fraction of the cost.
     - **Cost** per wavelength on one core in float64, 16 streams, 10 depths: 0.1 ms; it grows as
       streams^3 and linearly in layers, orders and wavelengths.
-    - **Measured error** (`tests/test_plane_parallel.py`, `tests/test_discrete_ordinates.py`):
+    - **Measured error** (`test_plane_parallel.py` and `test_layer_modes.py` in
+      `tests/oceaninv/transport/plane_parallel`):
       Ed and Eu 1e-6 (mean cosine of scattering 0.924: 1e-5) of the beam at 16 streams, 1e-8 at
       48.  E0 in a slab of optical thickness 0.1 or right at a boundary, where light along the
       horizon falls off within a node's own depth: 1e-4 (0.924: 5e-4) at 16 streams, 5e-6 (2e-5)
