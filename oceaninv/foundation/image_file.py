@@ -2,6 +2,8 @@
 
 import contextlib
 import dataclasses
+import io
+import lzma
 import os
 import threading
 import zipfile
@@ -17,6 +19,7 @@ _LARGEST = {"uint8": 255, "uint16": 65535, "uint32": 2**32 - 1, "int8": 127, "in
 # Images of one file that are looked at for the largest.
 _MOST_IMAGES = 1000
 _MOST_CHANNELS = 64
+_LONGEST_HEADER = 10_000  # bytes, of an .npy file; numpy's own limit
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -222,7 +225,7 @@ def read_numpy(path: Path, most: int) -> np.ndarray:
                     return _read_array(path, stream, members[0].file_size, most)
     except (PermissionError, FileNotFoundError):
         raise
-    except (zipfile.BadZipFile, zlib.error, EOFError, OSError, RuntimeError):
+    except (zipfile.BadZipFile, zlib.error, lzma.LZMAError, EOFError, OSError, RuntimeError):
         raise ValueError(f"{path} is no readable numpy file: it is damaged or cut short.") from None
 
 
@@ -236,7 +239,10 @@ def _read_array(path: Path, stream: BinaryIO | Any, size: int, most: int) -> np.
             (1, 0): np.lib.format.read_array_header_1_0,
             (2, 0): np.lib.format.read_array_header_2_0,
         }[version]
-        shape, by_columns, dtype = read(stream)
+        counted = stream.read(2 if version == (1, 0) else 4)
+        if (length := int.from_bytes(counted, "little")) > _LONGEST_HEADER:
+            raise ValueError  # before it is read: a packed gigabyte of blanks is short
+        shape, by_columns, dtype = read(io.BytesIO(counted + stream.read(length)))
     except (ValueError, KeyError, TypeError, SyntaxError, tokenize.TokenError, RecursionError):
         raise ValueError(f"{path} holds no numpy array that can be read.") from None
     if dtype.kind not in "fiu":

@@ -2,6 +2,7 @@
 
 import io
 import struct
+import tracemalloc
 import zipfile
 import zlib
 
@@ -154,6 +155,40 @@ def test_hostile_numpy_files_are_a_sentence(tmp_path, kind, words):
     for read in (lambda p: read_numpy(p, 10**6), picture):
         with pytest.raises(ValueError, match=words):
             read(hostile(tmp_path / "a.npz", kind))
+
+
+def test_a_packed_header_of_gigabytes_is_not_unpacked(tmp_path):
+    """100 MB of blanks that take 100 kB in the file, as a header that claims 4 GB."""
+    head = b"\x93NUMPY\x02\x00" + struct.pack("<I", 2**32 - 1)
+    with zipfile.ZipFile(tmp_path / "a.npz", "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("a.npy", head + b" " * 100_000_000)
+    tracemalloc.start()
+    try:
+        with pytest.raises(ValueError, match="holds no numpy array"):
+            read_numpy(tmp_path / "a.npz", 10**6)
+        assert tracemalloc.get_traced_memory()[1] < 2_000_000
+    finally:
+        tracemalloc.stop()
+
+
+@pytest.mark.parametrize("method", [zipfile.ZIP_LZMA, zipfile.ZIP_BZIP2, zipfile.ZIP_DEFLATED])
+def test_damage_of_every_way_of_packing_is_a_sentence(tmp_path, method):
+    stream = io.BytesIO()
+    np.save(stream, VALUES[:, :, 0])
+    path = tmp_path / "a.npz"
+    with zipfile.ZipFile(path, "w", method) as archive:
+        archive.writestr("a.npy", stream.getvalue())
+    np.testing.assert_array_equal(read_numpy(path, 80), VALUES[:, :, 0])
+    whole = path.read_bytes()
+    refused = 0
+    for place in range(30, len(whole) - 100, 7):
+        path.write_bytes(whole[:place] + bytes([whole[place] ^ 255]) + whole[place + 1 :])
+        try:
+            read_numpy(path, 80)
+        except ValueError as error:
+            assert str(error).startswith(str(path))  # noqa: PT017
+            refused += 1
+    assert refused > 10
 
 
 @pytest.mark.parametrize("order", ["C", "F"])
