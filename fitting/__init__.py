@@ -9,7 +9,8 @@ from fitting.core.likelihood_regions import joint_region
 from fitting.core.parameters import Identity, Log, Logit, Parameter
 from fitting.core.result import Fit, Quantity
 from fitting.core.sampling import NUTS, sample
-from fitting.images.photograph_file import Photograph, read_photograph, read_range
+from fitting.images.photograph_file import Photograph, read_photograph
+from fitting.images.range_file import read_range
 from fitting.observations.bulk import (Bulk)
 from fitting.observations.profile import (Profile)
 from fitting.observations.photo import Background, Chart, Photo, Pixels

@@ -5,6 +5,16 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from fitting.commands.shared_options import (
+    FieldOfView,
+    IntrinsicsFile,
+    KnownLength,
+    RangeKind,
+    RangeScale,
+    check_range_options,
+    read_ranges,
+)
+
 if TYPE_CHECKING:
     from fitting.images.quality_checks import QualityCheck
 
@@ -17,16 +27,23 @@ def check_command(
     range_map: Annotated[
         Path | None, typer.Option(help="Range map of the picture, checked for gaps and units.")
     ] = None,
+    range_kind: RangeKind = None,
+    range_scale: RangeScale = None,
+    known_length: KnownLength = None,
+    intrinsics: IntrinsicsFile = None,
+    fov: FieldOfView = None,
 ) -> None:
     """Check whether photographs and chart readings can be used for a fit; exit code 1 if not."""
     if range_map is not None and len(paths) > 1:
         raise ValueError("--range-map belongs to one picture; check one at a time.")
+    options = range_kind, range_scale, known_length, intrinsics, fov
+    check_range_options(range_map, *options)
     problems = 0
     for path in paths:
         if path.suffix.lower() == ".csv":
             checks = _charts(path)
         else:
-            checks = _picture(path, encoding, range_map)
+            checks = _picture(path, encoding, range_map, options)
         print(path)
         for passed, message in checks:
             print(f"  {'ok' if passed else 'NO'}  {message}")
@@ -71,11 +88,13 @@ def _charts(path: Path) -> "list[QualityCheck]":
     return checks
 
 
-def _picture(path: Path, encoding: str | None, range_map: Path | None) -> "list[QualityCheck]":
-    from fitting.images.photograph_file import read_photograph, read_range
+def _picture(
+    path: Path, encoding: str | None, range_map: Path | None, options: tuple
+) -> "list[QualityCheck]":
+    from fitting.images.photograph_file import read_photograph
     from fitting.images.quality_checks import of_picture, of_range
 
     photo = read_photograph(path, encoding)
     if range_map is None:
         return of_picture(photo)
-    return of_picture(photo) + of_range(read_range(range_map, photo.values.shape[:2]))
+    return of_picture(photo) + of_range(read_ranges(range_map, photo, *options))

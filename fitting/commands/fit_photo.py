@@ -6,17 +6,25 @@ from typing import Annotated
 import typer
 
 from fitting.commands.shared_options import (
+    FieldOfView,
+    IntrinsicsFile,
+    KnownLength,
     Output,
     Overwrite,
+    RangeKind,
+    RangeScale,
     SolarZenith,
     Tolerance,
     check_outputs,
+    check_range_options,
     known_values,
     noting,
     number_with_sd,
     preload,
     print_doubt,
     print_water,
+    range_inputs,
+    read_ranges,
     status,
     with_endings,
 )
@@ -90,6 +98,11 @@ def fit_photo_command(
         Path | None,
         typer.Option(help="Range map of --picture.", rich_help_panel="Picture without water"),
     ] = None,
+    range_kind: RangeKind = None,
+    range_scale: RangeScale = None,
+    known_length: KnownLength = None,
+    intrinsics: IntrinsicsFile = None,
+    fov: FieldOfView = None,
     pixels: Annotated[
         bool,
         typer.Option(
@@ -147,8 +160,10 @@ def fit_photo_command(
     inputs = list(paths)
     if picture_of is not None and range_map is not None:
         outputs += restored_paths(stem)
-        inputs += [picture_of, range_map]
-    shown = _shown(picture_of, range_map, encoding)
+        inputs += [picture_of, *range_inputs(range_map, intrinsics)]
+    options = range_kind, range_scale, known_length, intrinsics, fov
+    check_range_options(range_map, *options)
+    shown = _shown(picture_of, range_map, encoding, options)
     scenery = None
     if pixels:
         if shown is None:
@@ -195,16 +210,16 @@ def fit_photo_command(
         raise ValueError("; ".join(failures))
 
 
-def _shown(picture_of: Path | None, range_map: Path | None, encoding: str | None):
+def _shown(picture_of: Path | None, range_map: Path | None, encoding: str | None, options: tuple):
     """The photograph and its ranges, or None; read before the fit, so that it fails early."""
     if (picture_of is None) != (range_map is None):
         raise ValueError("--picture and --range-map go together: one without the other is no use.")
     if picture_of is None or range_map is None:
         return None
-    from fitting.images.photograph_file import read_photograph, read_range
+    from fitting.images.photograph_file import read_photograph
 
     photograph = read_photograph(picture_of, encoding)
-    return photograph, read_range(range_map, photograph.values.shape[:2])
+    return photograph, read_ranges(range_map, photograph, *options)
 
 
 def _without_water(fit, photo, shown, stem: Path, overwrite: bool) -> list[tuple[str, Path]]:

@@ -5,7 +5,19 @@ from typing import Annotated
 
 import typer
 
-from fitting.commands.shared_options import Overwrite, check_outputs, with_endings
+from fitting.commands.shared_options import (
+    FieldOfView,
+    IntrinsicsFile,
+    KnownLength,
+    Overwrite,
+    RangeKind,
+    RangeScale,
+    check_outputs,
+    check_range_options,
+    range_inputs,
+    read_ranges,
+    with_endings,
+)
 from oceaninv.foundation.provenance import record_inputs
 
 
@@ -38,6 +50,11 @@ def read_charts_command(
         Path | None,
         typer.Option(help='Range map of the photograph, for charts whose range is "map".'),
     ] = None,
+    range_kind: RangeKind = None,
+    range_scale: RangeScale = None,
+    known_length: KnownLength = None,
+    intrinsics: IntrinsicsFile = None,
+    fov: FieldOfView = None,
     encoding: Annotated[
         str | None, typer.Option(help="linear or sRGB, for files that do not say.")
     ] = None,
@@ -57,18 +74,20 @@ def read_charts_command(
     import numpy as np
 
     from fitting.images.chart_reading import overlay, read_chart, table_of
-    from fitting.images.photograph_file import read_photograph, read_range
+    from fitting.images.photograph_file import read_photograph
 
     data, image = with_endings(output, ".csv", "_patches.png")
     asked = [_chart(text) for text in chart]
     named = [Path(kind) for _, kind, *_ in asked if kind.lower().endswith(".csv")]
-    inputs = [path, *([] if range_map is None else [range_map]), *named]
+    options = range_kind, range_scale, known_length, intrinsics, fov
+    check_range_options(range_map, *options)
+    inputs = [path, *range_inputs(range_map, intrinsics), *named]
     check_outputs([data, image], inputs, overwrite)
     record_inputs(inputs)
     photograph = read_photograph(path, encoding)
     ranges = None
     if range_map is not None:
-        ranges = read_range(range_map, photograph.values.shape[:2])
+        ranges = read_ranges(range_map, photograph, *options)
     tilts = zenith or [90.0]
     if len(tilts) not in (1, len(chart)):
         raise ValueError(

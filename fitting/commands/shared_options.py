@@ -10,7 +10,10 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 if TYPE_CHECKING:
+    import numpy as np
+
     from fitting.core.result import Fit
+    from fitting.images.photograph_file import Photograph
 
 
 def _stem(path: Path | None) -> Path | None:
@@ -51,6 +54,96 @@ Tolerance = Annotated[
         rich_help_panel="Model",
     ),
 ]
+RangeKind = Annotated[
+    str | None,
+    typer.Option(
+        help="What the range map holds: z, depth along the optical axis, or line, distance along "
+        "the line of sight; by default z of COLMAP maps (.bin) and line of others.",
+        rich_help_panel="Range map",
+    ),
+]
+RangeScale = Annotated[
+    float | None,
+    typer.Option(
+        help="Metres per unit of the range map's numbers; a COLMAP map needs this or "
+        "--known-length.",
+        rich_help_panel="Range map",
+    ),
+]
+KnownLength = Annotated[
+    str | None,
+    typer.Option(
+        help='Two pixels and the distance between what they show, as "x1,y1,x2,y2,METRES".',
+        rich_help_panel="Range map",
+    ),
+]
+IntrinsicsFile = Annotated[
+    Path | None,
+    typer.Option(
+        help="cameras.bin or cameras.txt of a COLMAP model, or its folder, for depths along the "
+        "axis and for --known-length.",
+        rich_help_panel="Range map",
+    ),
+]
+FieldOfView = Annotated[
+    float | None,
+    typer.Option(
+        "--fov",
+        help="Full horizontal field of view in degrees, in place of --intrinsics.",
+        rich_help_panel="Range map",
+    ),
+]
+
+
+def read_ranges(
+    path: Path,
+    photograph: "Photograph",
+    kind: str | None,
+    scale: float | None,
+    known_length: str | None,
+    intrinsics: Path | None,
+    field_of_view: float | None,
+) -> "np.ndarray":
+    """The ranges of a photograph by the options above; prints how they were taken."""
+    from fitting.images.range_file import read_range_and_say
+
+    length = None
+    if known_length is not None:
+        try:
+            length = [float(number) for number in known_length.split(",")]
+        except ValueError:
+            length = []
+        if len(length) != 5:
+            raise ValueError(f'--known-length is {known_length!r}; write "x1,y1,x2,y2,METRES".')
+    if intrinsics is not None and field_of_view is not None:
+        raise ValueError("--intrinsics and --fov contradict each other: give one of them.")
+    ranges, said = read_range_and_say(
+        path,
+        photograph,
+        kind=kind,
+        scale=scale,
+        known_length=length,
+        intrinsics=field_of_view if intrinsics is None else intrinsics,
+    )
+    print(said)
+    return ranges
+
+
+def range_inputs(path: Path | None, intrinsics: Path | None) -> list[Path]:
+    """The files that a range map and the options above name."""
+    from fitting.images.intrinsics import model_file
+
+    named = [] if path is None else [path]
+    return named if intrinsics is None else [*named, model_file(intrinsics)]
+
+
+def check_range_options(path: Path | None, *options: object) -> None:
+    """ValueError where options of a range map are given without one."""
+    if path is None and any(option is not None for option in options):
+        raise ValueError(
+            "--range-kind, --range-scale, --known-length, --intrinsics and --fov belong to a "
+            "--range-map: give it, too."
+        )
 
 
 # What the commands call the transports; `render` draws with all, fits with some.

@@ -13,13 +13,15 @@ _NAMES = {
     0x829D: "FNumber",
     0x8827: "ISO",
     0x9209: "Flash",
+    0xA405: "FocalLengthIn35mmFilm",
 }
 _EXIF_DIRECTORY = 0x8769
 _FORMATS = {1: "B", 2: "s", 3: "H", 4: "I", 5: "II"}
 
 
 def raw_exif(path: str | Path) -> dict[str, Any]:
-    """Make, model, date, exposure time (s), f-number, ISO and flash word of a raw file.
+    """Make, model, date, exposure time (s), f-number, ISO, flash word and focal length as if on
+    35 mm film (mm) of a raw file.
 
     Most raw formats are TIFF files: NEF, CR2, ARW, DNG, PEF and SRW; ORF and RW2 are, too, but for
     their magic number.  Tags that are missing or damaged, and all tags of other formats, are left

@@ -1,4 +1,4 @@
-"""Photographs as linear camera values and range maps in metres, read from files."""
+"""Photographs as linear camera values, read from files."""
 
 import dataclasses
 import warnings
@@ -11,7 +11,7 @@ from jaxtyping import Bool, Float
 
 from fitting.images.saturation import saturation_spike
 from fitting.images.stated_encoding import LINEAR, SRGB, Encoding, stated_encoding
-from oceaninv.foundation.image_file import read_image, read_numpy, silenced
+from oceaninv.foundation.image_file import read_image, silenced
 
 if TYPE_CHECKING:
     from fitting.observations.photo import Pixels
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 _RAW = {".nef", ".cr2", ".cr3", ".arw", ".dng", ".orf", ".raf", ".rw2", ".pef", ".srw"}
 _JPEG = {".jpg", ".jpeg"}
 # Largest picture that is read, pixels; reading takes 50 bytes of memory for each.
-_MOST = 60_000_000
+MOST_PIXELS = 60_000_000
 # Share of a raw file's white level above which a spike of its counts is taken for saturation.
 _LEAST_SATURATION = 0.7
 
@@ -33,7 +33,8 @@ class Photograph:
     - `step`: standard deviation of the rounding of the file's numbers, in units of `values`.
     - `relative`: relative standard deviation of one pixel that comes from decoding a display
       curve; 0 for linear files.
-    - `exif`: metadata by the names Make, Model, DateTime, ExposureTime (s), FNumber, ISO, Flash.
+    - `exif`: metadata by the names Make, Model, DateTime, ExposureTime (s), FNumber, ISO, Flash,
+      FocalLengthIn35mmFilm (mm).
     - `source`: path of the file.
     """
 
@@ -90,7 +91,7 @@ def read_photograph(path: str | Path, encoding: str | None = None) -> Photograph
     **Warns:** UserWarning where the file contradicts `encoding`, for transparent pixels, and where
     a raw file is saturated below its stated white level.
     """
-    path = _existing(path)
+    path = existing(path)
     if encoding not in (None, "linear", "sRGB"):
         raise ValueError(f'encoding is {encoding!r}; "linear" or "sRGB" wanted.')
     suffix = path.suffix.lower()
@@ -104,7 +105,7 @@ def read_photograph(path: str | Path, encoding: str | None = None) -> Photograph
         largest, curve = None, SRGB if encoding == "sRGB" else LINEAR
         top = 1.0
     else:
-        image = read_image(path, _MOST, _colours, "red, green and blue")
+        image = read_image(path, MOST_PIXELS, _colours, "red, green and blue")
         values, usable = _opaque(path, image.values.astype(np.float64))
         largest, exif = image.largest, _exif(image.attributes)
         if largest not in (None, 255, 65535):
@@ -135,7 +136,8 @@ def read_photograph(path: str | Path, encoding: str | None = None) -> Photograph
     return Photograph(values, mask, step, relative, exif, str(path))
 
 
-def _existing(path: str | Path) -> Path:
+def existing(path: str | Path) -> Path:
+    """The path of a file; ValueError where it does not exist or is empty."""
     path = Path(path)
     if not path.is_file():
         raise ValueError(f"{path} does not exist or is no file.")
@@ -196,6 +198,7 @@ def _exif(attributes: Mapping[str, Any]) -> dict[str, Any]:
     names = {"ExposureTime": "ExposureTime", "FNumber": "FNumber", "Make": "Make"}
     names |= {"Model": "Model", "Exif:PhotographicSensitivity": "ISO", "Exif:Flash": "Flash"}
     names |= {"Exif:ISOSpeedRatings": "ISO", "DateTime": "DateTime"}
+    names |= {"Exif:FocalLengthIn35mmFilm": "FocalLengthIn35mmFilm"}
     return {short: attributes[long] for long, short in names.items() if long in attributes}
 
 
@@ -213,10 +216,10 @@ def _read_raw(path: Path) -> tuple[np.ndarray, float, dict[str, Any], np.ndarray
     below: dict[float, int] = {}
     try:
         with silenced(), rawpy.imread(str(path)) as raw:
-            if raw.sizes.width * raw.sizes.height > 4 * _MOST:  # read at half size
+            if raw.sizes.width * raw.sizes.height > 4 * MOST_PIXELS:  # read at half size
                 raise ValueError(
                     f"{path} has {raw.sizes.width} x {raw.sizes.height} pixels; at most "
-                    f"{4 * _MOST // 10**6} megapixels of raw files are read."
+                    f"{4 * MOST_PIXELS // 10**6} megapixels of raw files are read."
                 )
             black, white = raw.black_level_per_channel, int(raw.white_level)
             if not max(black) < white:
@@ -291,101 +294,11 @@ def _binned(
     return sums / number, usable, below
 
 
-def read_range(path: str | Path, shape: tuple[int, int]) -> Float[np.ndarray, "row column"]:
-    """A range map in metres at the pixels of a photograph of `shape` (row, column); NaN: missing.
-
-    EXR and float TIFF are in metres, uint16 TIFF and PNG in millimetres, npz holds one array in
-    metres, .bin is a COLMAP depth map.  0, negative, NaN and infinite are missing, and so are
-    markers: 65535 in 16-bit files, and the largest value where it is above 100 m and ten times
-    any other (1e10, 65504, 9999 ...).  A map of another size is brought to the photograph's by
-    its nearest pixel; it must have the same shape to 3 %.
-
-    **Raises:** ValueError with a sentence for what is no range map of this photograph.
-    **Warns:** UserWarning with the count of marked pixels, and where the size had to be changed:
-    of an undistorted picture, a map fits the original photograph only after both are undistorted.
-    """
-    path = _existing(path)
-    suffix = path.suffix.lower()
-    marked, marker = None, "65535"
-    if suffix == ".npz":
-        values = read_numpy(path, _MOST)
-    elif suffix == ".bin":
-        values = _read_colmap(path)
-    else:
-        image = read_image(path, _MOST, _depth, "one plane of depths")
-        values = image.values.astype(np.float64)
-        if np.any(values[:, :, :1] != values):
-            raise ValueError(f"{path} is a picture in colours: a range map is one plane of depths.")
-        values = values[:, :, 0]
-        if image.largest == 255:
-            raise ValueError(f"{path} has 8 bits: a range map needs float metres or 16-bit mm.")
-        if image.largest not in (None, 65535):
-            raise ValueError(
-                f"{path} has integers up to {image.largest}: a range map needs float metres or "
-                "16-bit mm."
-            )
-        if image.largest == 65535:
-            marked = values >= 1.0
-            values = values * 65.535
-    values = np.asarray(values, dtype=np.float64)
-    if values.ndim != 2:
-        raise ValueError(f"{path}: a range map is one plane, not shape {values.shape}.")
-    ratio = values.shape[0] / shape[0] / (values.shape[1] / shape[1])
-    if abs(ratio - 1) > 0.03:
-        raise ValueError(
-            f"{path} is {values.shape[1]} x {values.shape[0]}, the photograph {shape[1]} x "
-            f"{shape[0]}: another shape, so not of this photograph (or turned)."
-        )
-    values = np.where(np.isfinite(values) & (values > 0), values, np.nan)
-    if marked is None:
-        marked = _far_beyond_all_others(values)
-        marker = f"the marker {np.nanmax(values, initial=0.0):.6g}"
-    if marked.any():
-        warnings.warn(
-            f"{path}: {int(marked.sum())} of {marked.size} pixels hold {marker} and are taken as "
-            "missing.",
-            stacklevel=2,
-        )
-        values = np.where(marked, np.nan, values)
-    if not np.isfinite(values).any():
-        raise ValueError(f"{path} holds no range: every pixel is 0, negative, NaN or a marker.")
-    if values.shape == tuple(shape):
-        return values
-    warnings.warn(
-        f"{path} is {values.shape[1]} x {values.shape[0]}, the photograph {shape[1]} x {shape[0]}: "
-        "the map is resized to it by its nearest pixels.  If the map was made from an undistorted "
-        "picture, give that picture, for its pixels lie elsewhere.",
-        stacklevel=2,
-    )
-    from skimage.transform import resize
-
-    nearest = resize(values, shape, order=0, mode="edge", anti_aliasing=False, preserve_range=True)
-    return np.asarray(nearest)
-
-
-def _depth(names: tuple[str, ...]) -> tuple[int, int] | None:
-    """The channel of depths, by its name; else all of a picture of up to four equal channels."""
-    short = [name.casefold().rsplit(".", 1)[-1] for name in names]
-    for name in ("z", "depth", "distance", "range"):
-        if name in short:
-            return short.index(name), short.index(name) + 1
-    colours = len(names) - (short[-1] == "a" and len(names) > 1)
-    return (0, colours) if colours <= 3 else None
-
-
-def _far_beyond_all_others(values: np.ndarray) -> np.ndarray:
-    """Where the largest value stands, if it is above 100 m and ten times the next."""
-    top = np.nanmax(values, initial=0.0)
-    others = values[values < top]
-    next_to_it = others.max() if others.size else np.inf
-    return (values == top) & bool(top > 100.0 and top >= 10.0 * next_to_it)
-
-
 def pixels_of(photograph: Photograph, distance: Any, **rest: Any) -> "Pixels":
     """The usable pixels of a photograph that have a range, as surfaces of unknown reflectance.
 
-    `distance`: (row, column) metres, NaN where missing (`read_range`).  `rest`: further arguments
-    of `Pixels`.  ValueError where its shape is not that of the photograph.
+    `distance`: (row, column) metres, NaN where missing (`fitting.read_range`).  `rest`: further
+    arguments of `Pixels`.  ValueError where its shape is not that of the photograph.
     """
     from fitting.observations.photo import Pixels
 
@@ -396,27 +309,3 @@ def pixels_of(photograph: Photograph, distance: Any, **rest: Any) -> "Pixels":
         )
     usable = np.isfinite(distance) & photograph.mask.all(axis=2)
     return Pixels(photograph.values[usable], distance[usable], **rest)
-
-
-def _read_colmap(path: Path) -> np.ndarray:
-    """COLMAP's dense maps: "width&height&channels&", then float32 in column-major order."""
-    with open(path, "rb") as file:
-        parts = file.read(64).split(b"&", 3)
-        if len(parts) < 4 or not all(part.isdigit() for part in parts[:3]):
-            raise ValueError(f"{path} does not begin like a COLMAP map: width&height&channels&.")
-        width, height, channels = (int(part) for part in parts[:3])
-        start = sum(len(part) + 1 for part in parts[:3])
-        size = path.stat().st_size - start
-        if channels != 1 or size != 4 * width * height:
-            raise ValueError(
-                f"{path} should hold {width} x {height} x {channels} floats of one channel, but "
-                f"has {size} bytes: cut short, or no depth map."
-            )
-        if width * height > _MOST:
-            raise ValueError(
-                f"{path} has {width} x {height} pixels; at most {_MOST // 10**6} megapixels are "
-                "read."
-            )
-        file.seek(start)
-        raw = file.read(size)
-    return np.frombuffer(raw, dtype="<f4").reshape((width, height), order="F").T

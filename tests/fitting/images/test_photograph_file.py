@@ -1,7 +1,6 @@
-"""Photographs and range maps: what is read, and a sentence for all that is not."""
+"""Photographs: what is read, and a sentence for all that is not."""
 
 import dataclasses
-import re
 import struct
 
 import numpy as np
@@ -470,73 +469,6 @@ def test_hostile_files_end_the_command_with_a_sentence_and_nothing_written(tmp_p
     assert list(out.iterdir()) == []
 
 
-def save_range(tmp_path, name):
-    path = tmp_path / name
-    if name.endswith("npz"):
-        np.savez(path, depth=RANGE)
-    elif name.endswith("bin"):
-        path.write_bytes(b"16&12&1&" + RANGE.T.astype("<f4").tobytes(order="F"))
-    elif name.endswith("mm.tif"):
-        write(path, RANGE / 65.535, "uint16")
-    else:
-        write(path, RANGE, "half" if "half" in name else "float")
-    return path
-
-
-@pytest.mark.parametrize(
-    ("name", "error"),
-    [("r.exr", 1e-6), ("half.exr", 4e-3), ("r.tif", 1e-6), ("mm.tif", 6e-4), ("half.tif", 4e-3),
-     ("r.npz", 0), ("r.bin", 1e-6)],
-)  # fmt: skip
-def test_range_maps_in_every_form(tmp_path, name, error):
-    found = read_range(save_range(tmp_path, name), (12, 16))
-    np.testing.assert_allclose(found, RANGE, atol=error, rtol=0)
-
-
-def test_ranges_of_another_size_and_missing_ones(tmp_path):
-    values = np.repeat(np.arange(1.0, 101.0)[:, None], 100, axis=1)
-    values[:5], values[5, 0], values[6, 0], values[7, 0] = 0.0, np.nan, np.inf, -1.0
-    path = tmp_path / "r.npz"
-    np.savez(path, values)
-    with pytest.warns(UserWarning, match="100 x 100, the photograph 101 x 102: the map is resized"):
-        found = read_range(path, (102, 101))
-    assert found.shape == (102, 101)
-    assert np.isnan(found[:5]).all()
-    assert np.isnan(found[6:8, 0]).all()
-    assert np.nanmax(np.abs(found[10:, 50] - np.arange(10.5, 102) * 100 / 102)) < 1.1
-    with pytest.raises(ValueError, match="another shape"):
-        read_range(path, (100, 150))
-    np.savez(path, values * np.nan)
-    with pytest.raises(ValueError, match="holds no range"):
-        read_range(path, (100, 100))
-    bad = tmp_path / "r.bin"
-    bad.write_bytes(b"16&12&1&1234")
-    with pytest.raises(ValueError, match="cut short"):
-        read_range(bad, (12, 16))
-
-
-@pytest.mark.parametrize(
-    ("name", "marker", "shown"),
-    [("r.png", 65535, "65535"), ("r.tif", 65535, "65535"), ("r.npz", 1e10, "1e+10"),
-     ("r.exr", 65504.0, "65504"), ("r.npz", 9999.0, "9999"), ("r.exr", 3.4e38, "3.4e+38")],
-)  # fmt: skip
-def test_markers_of_missing_ranges_are_left_out_with_their_count(tmp_path, name, marker, shown):
-    path, values = tmp_path / name, RANGE.copy()
-    if name in ("r.png", "r.tif"):
-        values = values * 1000 / 65535
-        marker = 1.0
-    values[:3, :5] = marker
-    if name.endswith("npz"):
-        np.savez(path, values)
-    else:
-        write(path, values, "float" if name.endswith("exr") else "uint16")
-    words = rf"15 of 192 pixels hold .*{re.escape(shown)} and are taken as missing"
-    with pytest.warns(UserWarning, match=words):
-        found = read_range(path, (12, 16))
-    assert np.isnan(found[:3, :5]).all()
-    np.testing.assert_allclose(found[3:], RANGE[3:], atol=6e-4)
-
-
 def test_commands_print_warnings_as_sentences(tmp_path, capsys):
     picture = write(tmp_path / "a.png", IMAGE, "uint16")
     marked = RANGE.repeat(2, axis=0).repeat(2, axis=1) * 1000 / 65535
@@ -547,12 +479,6 @@ def test_commands_print_warnings_as_sentences(tmp_path, capsys):
     assert lines[0].startswith(f"oceaninv: {ranges}: 15 of 768 pixels hold 65535")
     assert lines[1].startswith(f"oceaninv: {ranges} is 32 x 24, the photograph 16 x 12: the map")
     assert len(lines) == 2
-
-
-def test_a_distant_background_is_no_marker(tmp_path):
-    values = np.linspace(1.0, 300.0, 192).reshape(12, 16)
-    np.savez(tmp_path / "r.npz", values)
-    np.testing.assert_array_equal(read_range(tmp_path / "r.npz", (12, 16)), values)
 
 
 def test_pixels_with_a_range_are_readings(tmp_path):
