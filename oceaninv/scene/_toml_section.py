@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from oceaninv.foundation.colmap_file import read_depth
 from oceaninv.foundation.image_file import read_image, read_numpy
 
 _MISSING = object()
@@ -214,3 +215,23 @@ def picture(path: Path) -> np.ndarray:
     if pixels.ndim != 3:
         raise ValueError(f"{path} must be (row, column) or (row, column, channel) numbers.")
     return pixels
+
+
+def depths(path: Path) -> tuple[np.ndarray, float | None]:
+    """The pixels of a map of depths, (row, column, channel), and the metres of a unit: 1 of floats,
+    0.001 of 16-bit integers, `None` of COLMAP's maps (.bin).
+
+    ValueError as of `picture`, and for integers of other than 16 bits.
+    """
+    if path.suffix.lower() == ".bin":
+        return read_depth(path, _MOST_PIXELS).astype(float)[:, :, None], None
+    if path.suffix.lower() in (".npy", ".npz"):
+        return picture(path), 1.0
+    image = read_image(path, _MOST_PIXELS)
+    if image.largest not in (None, 65535):
+        raise ValueError(
+            f"{path} has integers up to {image.largest}: a range map needs float metres or 16-bit "
+            "mm."
+        )
+    pixels = np.asarray(image.values, dtype=float)
+    return (pixels, 1.0) if image.largest is None else (np.round(65535.0 * pixels), 0.001)

@@ -29,21 +29,26 @@ class RangeMap(eqx.Module):
 
     **Arguments:** concrete.
 
-    - `distance`: (row, column) metres along the line of sight of a pixel; 0 or nan where nothing
-      is known: open water, or the scene's own floor.
+    - `distance`: (row, column) metres; 0 or nan where nothing is known: open water, or the scene's
+      own floor.
     - `reflectance`: (part, wl) between 0 and 1.
     - `texture`: (row, column, part): the reflectance of a pixel is the sum of the parts times
       their shares here, each between 0 and 1; `None`: 1 of the only part.  The parts must not
       exceed 1 together.
+    - `kind`: what `distance` is: "line", along the line of sight of a pixel; "z", along the optical
+      axis of the camera, which is less by the cosine of the angle between them.
 
-    **Raises:** `ValueError` when the three do not fit together.
+    **Raises:** `ValueError` when they do not fit together.
     """
 
     distance: np.ndarray
     reflectance: Float[Array, "part wl"]
     texture: np.ndarray | None
+    kind: str = eqx.field(static=True)
 
-    def __init__(self, distance, reflectance, texture=None):
+    def __init__(self, distance, reflectance, texture=None, kind="line"):
+        if kind not in ("line", "z"):
+            raise ValueError(f'kind must be "line" or "z", not {kind!r}.')
         distance = np.asarray(distance, dtype=float)
         if distance.ndim != 2 or min(distance.shape) < 2:
             raise ValueError(
@@ -71,7 +76,7 @@ class RangeMap(eqx.Module):
                     f"texture must have shape {(*distance.shape, parts)}, not {texture.shape}."
                 )
             check_concrete("texture", texture, 0.0, 1.0)
-        self.distance, self.texture = distance, texture
+        self.distance, self.texture, self.kind = distance, texture, kind
 
     def seen_by(self, camera: Camera) -> Ranged:
         """The points that the lines of sight of a camera meet, from the nearest pixel of the map,
@@ -85,6 +90,9 @@ class RangeMap(eqx.Module):
         distance = self.distance[picked]
         rays = camera.rays()
         look = np.asarray(rays.direction).reshape(*distance.shape, 3)
+        if self.kind == "z":
+            axis = np.asarray(camera.direction, dtype=float)
+            distance = distance / (look @ (axis / np.linalg.norm(axis)))
         point = np.asarray(rays.origin).reshape(*distance.shape, 3) + distance[..., None] * look
         smooth = distance > 0
         steps = []

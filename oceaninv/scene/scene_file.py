@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from oceaninv.foundation import spectrum
-from oceaninv.scene._toml_section import Section, grid, numbers, picture, read, spectra
+from oceaninv.scene._toml_section import Section, depths, grid, numbers, picture, read, spectra
 from oceaninv.scene.camera import Camera, Sensor
 from oceaninv.scene.light import AbstractLamp, Light, PointLamp, SpotLamp, clear_sky
 from oceaninv.scene.objects import AbstractObject, Box, HeightField, Sphere
@@ -258,7 +258,11 @@ def _waves(table: Section, azimuth: float) -> Waves:
 
 
 def _ranges(table: Section, wavelength: np.ndarray) -> RangeMap:
-    pixels = picture(table.file("range_m"))
+    path = table.file("range_m")
+    pixels, unit = depths(path)
+    # The unit of COLMAP is arbitrary, and its depths lie along the axis.
+    kind = table.text("kind", ("line", "z"), "z" if unit is None else "line")
+    unit = table.number("m_per_unit", 1e-12, 1e12, *(() if unit is None else (unit,)))
     if pixels.shape[2] != 1:
         wanted = f"a map of one channel, not {pixels.shape[2]}"
         raise table.error("range_m", table.text("range_m"), wanted)
@@ -273,7 +277,7 @@ def _ranges(table: Section, wavelength: np.ndarray) -> RangeMap:
             reflectance = reflectance * colour_parts(wavelength)
     table.finish()
     try:
-        return RangeMap(pixels[:, :, 0], reflectance, texture)
+        return RangeMap(unit * pixels[:, :, 0], reflectance, texture, kind)
     except ValueError as error:
         raise ValueError(f"{table.path}: {table.name}: {error}") from None
 

@@ -2,6 +2,8 @@
 
 import json
 import os
+import struct
+import zipfile
 from pathlib import Path
 
 import jax.numpy as jnp
@@ -12,6 +14,7 @@ import pytest
 import oceaninv as oi
 from fitting.commands import main as cli
 from oceaninv.rendering import render
+from tests.oceaninv.foundation.test_colmap_file import write_colmap
 
 TEXT = """
 title = "a ball"
@@ -276,6 +279,37 @@ def test_range_map(tmp_path, ranged, drawn):
     assert cli.run(["render", str(ranged), "-o", str(tmp_path / "r.png")]) == 0
 
 
+def test_range_map_of_depths_along_the_axis(tmp_path, ranged):
+    """The same ball by depths along the axis, from COLMAP, in metres and in millimetres."""
+    line = np.load(tmp_path / "r.npz")["arr_0"]
+    rows, columns = line.shape
+    half = np.tan(np.radians(30.0))  # of the field of view of 60 degrees
+    x = half * ((np.arange(columns) + 0.5) / columns * 2 - 1)
+    y = half * ((np.arange(rows) + 0.5) * 2 - rows) / columns
+    depth = line / np.sqrt(1 + x**2 + y[:, None] ** 2)
+    expected = oi.load_scene(ranged)
+    expected = expected.ranges.seen_by(expected.camera)
+    text = ranged.read_text()
+    np.savez(tmp_path / "z.npz", depth)
+    write_colmap(tmp_path / "z.bin", depth / 0.25)
+    spec = oiio.ImageSpec(columns, rows, 1, "uint16")
+    out = oiio.ImageOutput.create(str(tmp_path / "z.png"))
+    assert out.open(str(tmp_path / "z.png"), spec)
+    assert out.write_image((depth / 65.535).astype(np.float32)[:, :, None])
+    out.close()
+    for new, error in (('"z.npz"\nkind = "z"', 1e-12), ('"z.bin"\nm_per_unit = 0.25', 3e-7),
+                       ('"z.png"\nkind = "z"', 3e-4)):  # fmt: skip
+        ranged.write_text(text.replace('"r.npz"', new))
+        found = oi.load_scene(ranged)
+        found = found.ranges.seen_by(found.camera)
+        np.testing.assert_array_equal(found.met, expected.met)
+        np.testing.assert_allclose(found.distance, expected.distance, rtol=error)
+        np.testing.assert_allclose(found.normal, expected.normal, atol=100 * error)
+    ranged.write_text(text.replace('"r.npz"', '"z.bin"'))
+    with pytest.raises(ValueError, match="m_per_unit is missing"):
+        oi.load_scene(ranged)
+
+
 @pytest.mark.slow
 def test_range_map_by_exact_transports(ranged):
     """PlaneParallel and MonteCarlo draw the same range map: within five standard errors."""
@@ -294,6 +328,11 @@ def test_range_map_by_exact_transports(ranged):
         ("reflectance = 0.6", 'reflectance = 0.6\ntexture = "r.npz"\ntextur = 1', "textur means"),
         ("r.npz", "text.npy", "holds no numpy array"),
         ("r.npz", "text.exr", "is no picture"),
+        ("r.npz", "cut.npz", "damaged or cut short"),
+        ("r.npz", "huge.npz", "claims an array of shape (1000000, 1000000)"),
+        ("r.npz", "cut.bin", "cut short"),
+        ('"r.npz"', '"r.npz"\nkind = "depth"', "one of line, z"),
+        ('"r.npz"', '"r.npz"\nm_per_unit = 0.0', "m_per_unit is 0.0"),
         ("r.npz", "below.npy", "must not be negative"),
         ("[range_map]", "[[lamps]]\nkind = 'point'\nposition_m = [0,0,1]\nintensity_w_sr_nm = 1\n"
          "[range_map]", "without objects, lamps and waves"),
@@ -303,6 +342,12 @@ def test_range_map_refusals(ranged, capsys, old, new, message):
     for name in ("text.npy", "text.exr"):
         (ranged.parent / name).write_text("no picture")
     np.save(ranged.parent / "below.npy", -np.ones((7, 9)))
+    whole = (ranged.parent / "r.npz").read_bytes()
+    (ranged.parent / "cut.npz").write_bytes(whole[: len(whole) // 2])
+    (ranged.parent / "cut.bin").write_bytes(b"1000000&1000000&1&" + bytes(100))
+    header = b"{'descr': '<f8', 'fortran_order': False, 'shape': (1000000, 1000000), }"
+    with zipfile.ZipFile(ranged.parent / "huge.npz", "w") as archive:
+        archive.writestr("a.npy", b"\x93NUMPY\x01\x00" + struct.pack("<H", len(header)) + header)
     ranged.write_text(ranged.read_text().replace(old, new))
     output = ranged.parent / "x.png"
     assert cli.run(["render", str(ranged), "-o", str(output)]) == 3
