@@ -222,6 +222,9 @@ def camera_names() -> tuple[str, ...]:
 def camera_response(name: str) -> Response:
     """Measured relative response (R, G, B) of a camera, 380-780 nm by 5 nm, green maximum 1.
 
+    Of ARRI D21 and Nikon D5100, each channel was published scaled to 1: the balance between their
+    channels is unknown.
+
     **Arguments:** `name`: one of `camera_names()`, in large or small letters.
 
     **Raises:** `ValueError` with the near names when the camera is not among `camera_names()`.

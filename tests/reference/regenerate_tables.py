@@ -24,31 +24,6 @@ DIGESTS = Path(__file__).with_name("table_digests.csv")
 
 TYPES = ("I", "IA", "IB", "II", "III", "1C", "3C", "5C", "7C", "9C")
 FLAGS = {"Kd0": 1, "Kd": 2, "KdH": 4, "a": 8, "b": 16}
-# Cameras that divers house or put in a dome, from compact to full frame.
-CAMERAS = (
-    "Arashi Vision Insta360 X5",
-    "Canon EOS 5D Mark II",
-    "Canon EOS 5D Mark III",
-    "Canon EOS 5D Mark IV",
-    "Canon EOS 5DS",
-    "Canon EOS R5",
-    "Canon EOS R5m2",
-    "Canon EOS R6",
-    "Canon PowerShot S90",
-    "Nikon D7000",
-    "Nikon D800E",
-    "Nikon D810",
-    "Nikon D850",
-    "Nikon Z f",
-    "Panasonic DC-GX9",
-    "Sony DSC-RX100M4",
-    "Sony ILCE-6400",
-    "Sony ILCE-7M3",
-    "Sony ILCE-7M4",
-    "Sony ILCE-7RM3",
-    "Sony ILCE-7RM4",
-    "Sony ILCE-7SM3",
-)
 # Published with each channel scaled to 1, so that the balance between channels is lost.
 UNBALANCED = ("ARRI D21", "Nikon D5100")
 
@@ -343,7 +318,7 @@ def cameras(source, folder):
     )
     common = {"units": "wavelength=nm, *=1", "range": "380-780 nm"}
     columns = {"wavelength": grid}
-    for name in CAMERAS:
+    for name in sorted(spectra):
         columns |= {f"{name} {c}": spectra[name][:, i] for i, c in enumerate("RGB")}
     write(
         folder,
@@ -352,7 +327,9 @@ def cameras(source, folder):
         | {
             "title": "Spectral sensitivities of cameras",
             "citation": origin,
-            "note": "relative response to spectral radiance; the green maximum of each camera is 1",
+            "note": "relative response to spectral radiance; the green maximum of each camera is 1;"
+            f" each channel of {' and '.join(UNBALANCED)} was published scaled to 1, so that the"
+            " balance between their channels is unknown",
         },
         columns,
         digits=6,

@@ -53,6 +53,10 @@ PUBLISHED = [
 ]
 
 
+# The package stays small; 52 cameras of three channels take more than others.
+MOST_BYTES = {"cameras": 130_000}
+
+
 @pytest.mark.parametrize("name", tables.names())
 def test_header_units_and_range_are_complete(name):
     table = tables.load(name)
@@ -69,7 +73,9 @@ def test_header_units_and_range_are_complete(name):
     assert [float(end) for end in extent.split("-")] == [axis[0], axis[-1]]
     assert np.all(np.diff(axis) > 0)
     assert all(column.shape == axis.shape for column in table.columns.values())
-    assert (ROOT / "oceaninv" / "data" / f"{name}.csv").stat().st_size < 60_000
+    assert (ROOT / "oceaninv" / "data" / f"{name}.csv").stat().st_size < MOST_BYTES.get(
+        name, 60_000
+    )
 
 
 @pytest.mark.parametrize(("name", "column", "wavelength", "value"), PUBLISHED)
@@ -134,7 +140,7 @@ def test_petzold_integrates_to_one_with_the_stated_forward_slope():
 
 
 def test_cameras_peak_at_one_in_green():
-    assert len(spectrum.camera_names()) >= 14
+    assert len(spectrum.camera_names()) == 52
     for name in spectrum.camera_names():
         table = tables.load("cameras")
         assert table.columns[f"{name} G"].max() == 1.0
