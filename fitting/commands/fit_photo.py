@@ -191,6 +191,10 @@ def fit_photo_command(
     print_doubt(fit)
     if said:
         print(said)
+    generic = [path for path, photo in zip(paths, photos, strict=True) if photo.response is None]
+    if generic:
+        named = ", ".join(str(path) for path in generic)
+        print(f"camera of {named}: generic (mean of 50 measured ones, three components fitted)")
     if clipped or masked:
         print(f"left out: {clipped} clipped rows, {masked} missing or non-positive values")
     factor = fit.noise_factor or 1.0

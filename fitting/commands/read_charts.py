@@ -1,7 +1,7 @@
 """`oceaninv read-charts`."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -19,6 +19,9 @@ from fitting.commands.shared_options import (
     with_endings,
 )
 from oceaninv.foundation.provenance import record_inputs
+
+if TYPE_CHECKING:
+    from fitting.images.photograph_file import Photograph
 
 
 def read_charts_command(
@@ -112,6 +115,7 @@ def read_charts_command(
         readings.append(reading)
         rows.append((name, kind, distance, reading))
         print(f"{name} at {distance:.2f} m: {reading.message()}")
+    print(_camera(camera, photograph))
     windows = [_window(text, tilts[0]) for text in background or ()]
     content = table_of(
         photograph, rows, windows, tilts if len(tilts) > 1 else tilts[0], camera, lamp
@@ -123,6 +127,15 @@ def read_charts_command(
         temporary.write_text(content, encoding="utf-8")
     left = int(np.sum([(~r.kept).sum() for r in readings]))
     print(f"left out: {left} patches.  wrote {data} and {image}")
+
+
+def _camera(name: str | None, photograph: "Photograph") -> str:
+    """Whose response is written into the csv; why, where it is the generic one by default."""
+    if name is not None or photograph.camera is not None:
+        return f"camera: {name or photograph.camera}"
+    model = photograph.exif.get("Model")
+    why = f"the response of {model} is not known" if model else "the file names no camera"
+    return f"camera: generic, for {why}; name another of `oceaninv cameras` with --camera"
 
 
 def _point(text: str) -> tuple[float, float]:

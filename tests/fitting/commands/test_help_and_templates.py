@@ -47,7 +47,7 @@ def test_exit_status_is_as_the_help_says(tmp_path, monkeypatch, capsys):
     ("name", "panels"),
     [
         ("fit-profile", {"Model", "How to read the files", "Output", "Sun and camera"}),
-        ("fit-photo", {"Model", "Sun and camera", "Picture without water", "Output"}),
+        ("fit-photo", {"Model", "Sun and camera", "Picture without water", "Range map", "Output"}),
         ("render", {"Model", "Animation", "Output"}),
     ],
 )
@@ -104,3 +104,4 @@ def test_a_template_of_a_photograph_can_be_fitted(tmp_path, capsys):
     shown = capsys.readouterr().out
     assert "search: converged" in shown
     assert "does not describe" not in shown
+    assert f"camera of {path}: generic (mean of 50" in shown

@@ -126,7 +126,9 @@ def test_the_command_writes_what_the_fit_reads(tmp_path, capsys):
     chart = ["--chart", f"near ColorChecker24 2.5 {corners}"]
     water = ["--background", "2,125 170,138 95"]
     assert cli.run([*arguments, *chart, *water]) == 0
-    assert "near at 2.50 m: ColorChecker24: 24 of 24 patches kept" in capsys.readouterr().out
+    said = capsys.readouterr().out
+    assert "near at 2.50 m: ColorChecker24: 24 of 24 patches kept" in said
+    assert "camera: generic, for the file names no camera" in said
     assert (tmp_path / "out_patches.png").stat().st_size > 10_000
     read, clipped = read_photo(tmp_path / "out.csv", 5.0)
     assert clipped == 0
@@ -136,7 +138,8 @@ def test_the_command_writes_what_the_fit_reads(tmp_path, capsys):
     assert read.backgrounds[0].zenith.tolist() == [95.0]
     np.testing.assert_allclose(read.backgrounds[0].values, 0.02, rtol=3e-3)
     again = ["--chart", f"far ColorChecker24 4 {corners}", "--zenith", "92", "--zenith", "97"]
-    assert cli.run([*arguments, *chart, *again]) == 0
+    assert cli.run([*arguments, *chart, *again, "--camera", "Nikon D200"]) == 0
+    assert "camera: Nikon D200\n" in capsys.readouterr().out
     read, _ = read_photo(tmp_path / "out.csv", 5.0)
     assert [one.zenith for one in read.charts] == [92.0, 97.0]
     for bad in (
