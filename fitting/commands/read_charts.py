@@ -31,7 +31,8 @@ def read_charts_command(
         typer.Option(
             help='One chart, as "A DGK18 4.65 x,y x,y x,y x,y": name, kind (ColorChecker24, DGK18 '
             'or a csv), range in m or "map", then the corners in pixels, clockwise from its top '
-            'left.  "find" instead of the corners takes the largest ColorChecker24 found.'
+            'left.  "find" instead of the corners takes the largest chart of the kind that is found '
+            "(not of a csv), then the next."
         ),
     ],
     output: Annotated[
@@ -97,18 +98,18 @@ def read_charts_command(
             f"--zenith is given {len(tilts)} times for {len(chart)} charts: give it once, or once "
             "each."
         )
-    readings, rows, places = [], [], None
+    readings, rows, places = [], [], {}
     for text, (name, kind, distance, corners) in zip(chart, asked, strict=True):
         if corners is None:
             from fitting.images.chart_detection import find_charts
 
-            places = find_charts(photograph) if places is None else places
-            if kind != "ColorChecker24" or not places:
+            if kind not in places:
+                places[kind] = find_charts(photograph, kind)
+            if not places[kind]:
                 raise ValueError(
-                    f"--chart is {text!r}: only ColorChecker24 can be found, and no more than are "
-                    "in the picture; give the corners."
+                    f"--chart is {text!r}: no more charts of the kind were found; give the corners."
                 )
-            corners = places.pop(0)
+            corners = places[kind].pop(0)
         reading = read_chart(photograph, corners, kind)
         if distance is None:
             distance = _median(ranges, reading.outline, text)

@@ -1,4 +1,4 @@
-"""ColorCheckers found in a photograph: square regions that lie in a grid of four rows of six."""
+"""Charts found in a photograph: square regions that lie in a grid of four rows of six."""
 
 from collections.abc import Iterator
 
@@ -11,15 +11,20 @@ from fitting.images.photograph_file import Photograph
 
 # Rank agreement below which a grid of regions is no chart.
 _LEAST_AGREEMENT = 0.6
-# Patches of a chart that must be found as regions; the others follow from the grid.
-_FEWEST_PATCHES = 12
+# Patches of a chart that must be found as regions; the others follow from the grid.  The greys of
+# a DGK18 are twice as high as wide, two rows of the grid, and are not among its 12 squares.
+_FEWEST_PATCHES = {"ColorChecker24": 12, "DGK18": 9}
 # Longer side of the copy that is searched, pixels.
 _SEARCHED = 1000
 _ROWS, _COLUMNS = 4, 6
 
 
-def find_charts(photograph: Photograph) -> list[Float[np.ndarray, "4 2"]]:
-    """Corners of the ColorCheckers of 24 patches in a photograph, the largest first.
+def find_charts(
+    photograph: Photograph, name: str = "ColorChecker24"
+) -> list[Float[np.ndarray, "4 2"]]:
+    """Corners of the charts of one kind in a photograph, the largest first.
+
+    `name`: "ColorChecker24" or "DGK18".
 
     Each is (4, 2), column and row in pixels, in the chart's own order as
     `fitting.images.chart_reading.read_chart` takes them.
@@ -28,30 +33,34 @@ def find_charts(photograph: Photograph) -> list[Float[np.ndarray, "4 2"]]:
     of at most 1,000 pixels a side: the mean of the channels, each scaled to its 99th percentile,
     with a gamma of 2.2, and each channel alone.  Neither white balance nor exposure matters.
     Square regions that lie in a grid give its perspective; the known order of the patches' values
-    tells where in the grid the chart lies and how it is turned.  At least 12 patches must be
-    found, each at least 8 pixels wide in the copy.
+    tells where in the grid the chart lies and how it is turned.  At least 12 patches of a
+    ColorChecker24, or 9 of the 12 square ones of a DGK18, must be found, each at least 8 pixels
+    wide in the copy.
 
-    Raises ValueError where no chart is found.
+    Raises ValueError where no chart is found, and for another kind of chart.
     """
     from skimage.transform import downscale_local_mean
 
+    if name not in _FEWEST_PATCHES:
+        raise ValueError(
+            f"charts of the kind {name} cannot be found, only {' and '.join(_FEWEST_PATCHES)}: "
+            "give the corners."
+        )
     values = np.nan_to_num(np.asarray(photograph.values, dtype=float))
     step = -(-max(values.shape[:2]) // _SEARCHED)
     copy = downscale_local_mean(values, (step, step, 1)) if step > 1 else values
     found: list[tuple[float, np.ndarray]] = []
-    chart = target("ColorChecker24")
+    chart = target(name)
     for mask in _masks(np.asarray(copy)):
         centres, sides = _square_regions(mask)
-        for corners, count in _grids(centres, sides):
+        for corners, count in _grids(centres, sides, _FEWEST_PATCHES[name]):
             placed = np.clip((corners + 0.5) * step - 0.5, 0.0, np.array(values.shape[1::-1]) - 1.0)
             scores = agreements(photograph, list(placed), chart, 0.3)
             best = int(np.argmax(scores))
             if scores[best] >= _LEAST_AGREEMENT:
                 found.append((scores[best] * count[best], placed[best]))
     if not found:
-        raise ValueError(
-            f"{photograph.source}: no ColorChecker of 24 patches was found: give its corners."
-        )
+        raise ValueError(f"{photograph.source}: no {name} was found: give its corners.")
     charts: list[np.ndarray] = []
     for _, corners in sorted(found, key=lambda one: -one[0]):
         if not any(_overlap(corners, other) for other in charts):
@@ -91,9 +100,11 @@ def _square_regions(mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return centres, np.sqrt([region.area for region in good]) + 2.0  # what erosion took
 
 
-def _grids(centres: np.ndarray, sides: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """(candidate, 4, 2) corners of charts in each grid of the regions, and (candidate,) how many
-    regions each contains."""
+def _grids(
+    centres: np.ndarray, sides: np.ndarray, fewest: int
+) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """(candidate, 4, 2) corners of charts in each grid of at least `fewest` regions, and
+    (candidate,) how many regions each contains."""
     from skimage.transform import ProjectiveTransform
 
     used = np.zeros(len(centres), dtype=bool)
@@ -101,7 +112,7 @@ def _grids(centres: np.ndarray, sides: np.ndarray) -> Iterator[tuple[np.ndarray,
         if used[seed]:
             continue
         grid = _grown(int(seed), centres, sides)
-        if len(grid) < _FEWEST_PATCHES:
+        if len(grid) < fewest:
             continue
         used[list(grid.values())] = True
         at, members = np.array(list(grid), dtype=float), np.array(list(grid.values()))
@@ -110,7 +121,7 @@ def _grids(centres: np.ndarray, sides: np.ndarray) -> Iterator[tuple[np.ndarray,
             continue
         off = np.linalg.norm(to_picture(at) - centres[members], axis=1)
         close = off < 0.15 * np.median(sides[members])
-        if close.sum() < _FEWEST_PATCHES:
+        if close.sum() < fewest:
             continue
         at = at[close]
         to_picture = ProjectiveTransform.from_estimate(at, centres[members][close])
@@ -123,7 +134,7 @@ def _grids(centres: np.ndarray, sides: np.ndarray) -> Iterator[tuple[np.ndarray,
         most = max(count for count, *_ in boxes)
         candidates, counts = [], []
         for count, u, v, across, down in boxes:
-            if count >= max(most - 2, _FEWEST_PATCHES):
+            if count >= max(most - 2, fewest):
                 box = np.array([[u, v], [u + across, v], [u + across, v + down], [u, v + down]])
                 corners = to_picture(box - 0.5)
                 first = 0 if across == _COLUMNS else 1
