@@ -12,6 +12,7 @@ from fitting.commands import (
     check,
     fit_photo,
     fit_profile,
+    pick,
     plan_and_trade,
     read_charts,
     render,
@@ -33,6 +34,7 @@ app = typer.Typer(
 for _command, _example in (
     (fit_profile.fit_profile_command, "fit-profile cast.csv --layers auto -o cast_fit"),
     (fit_photo.fit_photo_command, 'fit-photo dive.csv --depth 5+-1 --camera "Nikon D810" --report'),
+    (pick.pick_command, "pick dive.dng"),
     (
         read_charts.read_charts_command,
         'read-charts dive.dng --chart "A ColorChecker24 2.5 find" -o dive',

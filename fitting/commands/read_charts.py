@@ -31,8 +31,8 @@ def read_charts_command(
         typer.Option(
             help='One chart, as "A DGK18 4.65 x,y x,y x,y x,y": name, kind (ColorChecker24, DGK18 '
             'or a csv), range in m or "map", then the corners in pixels, clockwise from its top '
-            'left.  "find" instead of the corners takes the largest chart of the kind that is found '
-            "(not of a csv), then the next."
+            'left (see oceaninv pick).  "find" instead of the corners takes the largest chart '
+            "found, then the next; not of a csv."
         ),
     ],
     output: Annotated[
