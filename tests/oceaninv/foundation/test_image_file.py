@@ -157,6 +157,32 @@ def test_hostile_numpy_files_are_a_sentence(tmp_path, kind, words):
             read(hostile(tmp_path / "a.npz", kind))
 
 
+def test_deep_images_and_damaged_ones_are_a_sentence(tmp_path):
+    """Two samples at every pixel; then 100 copies of the file with bytes changed at random."""
+    path = tmp_path / "deep.exr"
+    spec = oiio.ImageSpec(16, 12, 2, "float")
+    spec.channelnames = ("Z", "A")
+    spec.deep = True
+    samples = oiio.DeepData()
+    samples.init(spec)
+    for pixel in range(16 * 12):
+        samples.set_samples(pixel, 2)
+    out = oiio.ImageOutput.create(str(path))
+    assert out.open(str(path), spec)
+    assert out.write_deep_image(samples)
+    out.close()
+    with pytest.raises(ValueError, match="is a deep image"):
+        read_image(path, 10**6)
+    whole, rng = path.read_bytes(), np.random.default_rng(2)
+    for _ in range(100):
+        changed = bytearray(whole)
+        for place in rng.integers(0, len(whole), 4):
+            changed[place] = rng.integers(0, 256)
+        path.write_bytes(bytes(changed))
+        with pytest.raises(ValueError, match=str(path)):
+            read_image(path, 10**6)
+
+
 def test_a_packed_header_of_gigabytes_is_not_unpacked(tmp_path):
     """100 MB of blanks that take 100 kB in the file, as a header that claims 4 GB."""
     head = b"\x93NUMPY\x02\x00" + struct.pack("<I", 2**32 - 1)
