@@ -107,6 +107,15 @@ def test_a_field_of_view_spans_the_picture():
     assert float(below[1]) == pytest.approx(0.75 * float(right[0]))
 
 
+def test_a_camera_fits_pictures_of_its_shape():
+    camera = Intrinsics("PINHOLE", 1000, 1000, PINHOLE)
+    fitting = [
+        camera.fits(shape) for shape in ((1031, 1000), (1029, 1000), (971, 1000), (969, 1000))
+    ]
+    assert fitting == [False, True, True, False]
+    assert camera.fits((300, 299))
+
+
 def test_names_of_images_are_compared_without_folders_and_endings():
     assert same_name("a/IMG_1.JPG", "b\\img_1.nef")
     assert not same_name("IMG_1.JPG", "IMG_11.JPG")

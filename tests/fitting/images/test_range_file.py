@@ -95,6 +95,35 @@ def test_markers_of_missing_ranges_are_left_out_with_their_count(tmp_path, name,
     np.testing.assert_allclose(found[3:], RANGE[3:], atol=6e-4)
 
 
+@pytest.mark.parametrize(
+    ("top", "others", "scale", "left_out"),
+    [(101.0, 10.0, None, True), (99.0, 9.0, None, False), (200.0, 19.5, None, True),
+     (200.0, 20.5, None, False), (101_000.0, 9_000.0, 0.001, True),
+     (99_000.0, 9_000.0, 0.001, False)],
+)  # fmt: skip
+def test_a_marker_is_above_100_m_and_ten_times_all_others(tmp_path, top, others, scale, left_out):
+    values = np.full((12, 16), others)
+    values[3, 4] = top
+    np.savez(tmp_path / "r.npz", values)
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always")
+        found = read_range(tmp_path / "r.npz", (12, 16), scale=scale)
+    assert np.isnan(found[3, 4]) == left_out == (len(said) == 1)
+
+
+@pytest.mark.parametrize(("columns", "fits"), [(103, True), (104, False), (98, True), (97, False)])
+def test_sides_may_differ_by_rounding_alone(tmp_path, columns, fits):
+    """Ratios of sides that differ by 2.9 and 3.8 %, 2.0 and 3.1 %."""
+    np.savez(tmp_path / "r.npz", np.full((100, columns), 5.0))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)
+        if fits:
+            assert read_range(tmp_path / "r.npz", (100, 100)).shape == (100, 100)
+        else:
+            with pytest.raises(ValueError, match="another shape"):
+                read_range(tmp_path / "r.npz", (100, 100))
+
+
 def test_a_distant_background_is_no_marker(tmp_path):
     values = np.linspace(1.0, 300.0, 192).reshape(12, 16)
     np.savez(tmp_path / "r.npz", values)
