@@ -17,11 +17,11 @@ DEPTH = np.random.default_rng(5).uniform(1.0, 9.0, (5, 7)).astype(np.float32)
 
 
 def write_colmap(path, depth):
-    """A dense map as COLMAP writes one: column after column of each channel... by rows of x."""
+    """A dense map as COLMAP writes one: x runs first, then y."""
     rows, columns = depth.shape
     with open(path, "wb") as file:
         file.write(f"{columns}&{rows}&1&".encode())
-        for row in range(rows):  # x runs first
+        for row in range(rows):
             file.write(struct.pack(f"<{columns}f", *depth[row]))
     return path
 
