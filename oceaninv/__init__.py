@@ -21,7 +21,7 @@ from oceaninv.transport import (
 from oceaninv.water import (
     CDOM, BioOpticalModel, CDOMFluorescence, ChlorophyllFluorescence, Constituents, Detritus,
     Inelastic, IOPs, Layers, Minerals, Phytoplankton, Raman, attenuation, bio_optics,
-    gutierrez2008, inelastic, iops, jerlov, phase)
+    disc_transmission, gutierrez2008, inelastic, iops, jerlov, phase, target_transmission)
 from oceaninv.water import mitsuba_export as mitsuba
 
 __version__ = _version()
@@ -33,7 +33,8 @@ __all__ = [
     "KdTransport", "Layers", "Light", "Minerals", "MonteCarlo", "Phytoplankton", "Plan",
     "PlaneParallel", "PointLamp", "Raman", "RangeMap", "Rays", "Scene", "SceneFile", "Sensor",
     "Shadows", "Sphere", "SpotLamp", "TabulatedSky", "TwoStream", "WithObjects", "apparent",
-    "attenuation", "bio_optics", "camera", "energy_budget", "gutierrez2008", "inelastic", "iops",
-    "irradiance", "jerlov", "light", "load_scene", "media", "mie", "mitsuba", "objects", "optics",
-    "particles", "phase", "photograph", "plan", "radiance", "range_map", "scene_file",
-    "spectrum", "tables", "transport", "water", "waves"]
+    "attenuation", "bio_optics", "camera", "disc_transmission", "energy_budget",
+    "gutierrez2008", "inelastic", "iops", "irradiance", "jerlov", "light", "load_scene", "media",
+    "mie", "mitsuba", "objects", "optics", "particles", "phase", "photograph", "plan", "radiance",
+    "range_map", "scene_file", "spectrum", "tables",
+    "target_transmission", "transport", "water", "waves"]

@@ -50,6 +50,13 @@ def fit_photo_command(
             help='Camera by name; "generic" if unknown.', rich_help_panel="Sun and camera"
         ),
     ] = None,
+    size: Annotated[
+        float | None,
+        typer.Option(
+            help="Width of the charts' boards in m, where it is not that of the named chart.",
+            rich_help_panel="Sun and camera",
+        ),
+    ] = None,
     solar_zenith: SolarZenith = None,
     azimuth: Annotated[
         float | None,
@@ -172,7 +179,7 @@ def fit_photo_command(
     read = [
         read_photo(
             path, *place, camera, solar_zenith, azimuth, response_shift=response_shift,
-            pixels=scenery,
+            pixels=scenery, size=size,
         )
         for path, place in zip(paths, depths * (len(paths) // len(depths)), strict=True)
     ]  # fmt: skip

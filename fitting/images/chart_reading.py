@@ -59,7 +59,8 @@ class ChartReading:
         """The kept patches as a `Chart` at `distance` (m).
 
         `noise`: relative scatter added to `sd`, for caustics and uneven light; 3 % in the field.
-        `rest`: further arguments of `Chart`.  ValueError where no patch is kept.
+        `rest`: further arguments of `Chart`.  A patch that is left out stays on the board.
+        ValueError where no patch is kept.
         """
         from fitting.observations.photo import Chart
 
@@ -68,9 +69,10 @@ class ChartReading:
             raise ValueError("every patch of the chart is clipped: expose less.")
         sigma = np.hypot(self.sd, noise * self.values)[keep]
         name = str(rest.pop("name", self.target.name))
-        return Chart(
-            self.values[keep], self.target.reflectance[keep], distance, sigma, name=name, **rest
-        )
+        if self.target.board is not None:
+            rest = {"board": self.target.board, "place": np.flatnonzero(keep)} | rest
+        spectra = self.target.reflectance[keep]
+        return Chart(self.values[keep], spectra, distance, sigma, name=name, **rest)
 
     def message(self) -> str:
         """How many patches were kept, and how well they agree with the chart."""

@@ -1,5 +1,6 @@
 """Readings of charts and open water from csv files with a header of `# key: value` lines."""
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -7,7 +8,7 @@ from jaxtyping import Bool, Float
 
 import oceaninv as oi
 from fitting.files.csv_sheet import Sheet, header_number, read_sheet
-from fitting.observations.photo import WAVELENGTH, Background, Chart, Photo, Pixels
+from fitting.observations.photo import WAVELENGTH, Background, Board, Chart, Photo, Pixels
 from fitting.observations.profile import Profile
 
 
@@ -33,6 +34,7 @@ def read_photo(
     field_noise: float = 0.03,
     response_shift: float = 0.0,
     pixels: Pixels | None = None,
+    size: float | None = None,
 ) -> tuple[Photo, int]:
     """Readings of charts and open water in one photograph, and the number of clipped rows left out.
 
@@ -45,6 +47,10 @@ def read_photo(
     `camera`: a name of the response table, "generic", or None for the header's `camera`.
     `solar_zenith` and `azimuth` (degrees, 180 with the sun behind the camera): None takes the
     header's, else 40 and 90.  `response_shift` and `pixels` as in `Photo`.
+
+    Boards: those of the rows' `target`; else as wide and high as the header's `board_width` and
+    `board_height` (m) say; else unknown.  `size`: width of the boards in m, instead of the
+    target's; a square board where the rows name no target.
 
     Header `relative_exposure`: time (s) x ISO/100 / f-number^2, by which photographs of one camera
     share its gains.  `light: lamp`: a lamp at the camera lit the charts.  Without that line
@@ -76,6 +82,7 @@ def read_photo(
             )
     zenith, distance = sheet.numbers("zenith"), sheet.numbers("range")
     reflectance = _spectra(sheet)
+    boards = _boards(sheet, size)
     is_chart = np.array([kind == "chart" for kind in kinds])
     try:
         charts = []
@@ -90,6 +97,7 @@ def read_photo(
                         sd[rows],
                         float(np.median(zenith[rows])),
                         name,
+                        **boards(rows),
                     )
                 )
         rows = ~is_chart & keep
@@ -147,6 +155,35 @@ def _spectra(sheet: Sheet) -> np.ndarray:
                 f"{len(charts[name].reflectance)}, not {number:g}."
             )
     return np.stack(rows)
+
+
+def _boards(sheet: Sheet, size: float | None) -> Callable[[Bool[np.ndarray, " row"]], dict]:
+    """The arguments `board` and `place` of a chart made of these rows."""
+    from fitting.images.chart_targets import target
+
+    named = sheet.texts("target") if "target" in sheet.columns else [""] * len(sheet.texts("kind"))
+    width, height = (header_number(sheet, f"board_{k}", None, None) for k in ("width", "height"))
+    if size is not None:
+        width = height = size
+    elif (width is None) != (height is None):
+        raise ValueError(
+            f"{sheet.path}: give both '# board_width' and '# board_height', in metres."
+        )
+    try:
+        plain = None if width is None or height is None else Board(width, height)
+    except ValueError as error:
+        raise ValueError(f"{sheet.path}: {error}") from None
+
+    def board(rows) -> dict:
+        names = {name for name, row in zip(named, rows, strict=True) if row}
+        chart = target(names.pop()) if len(names) == 1 and "" not in names else None
+        if chart is None or chart.board is None:
+            return {"board": plain}
+        if size is not None:
+            chart = chart.of_size(size)
+        return {"board": chart.board, "place": sheet.numbers("patch")[rows].astype(int) - 1}
+
+    return board
 
 
 def patches_of(sheet: Sheet) -> tuple[Bool[np.ndarray, " row"], Float[np.ndarray, "row channel"]]:

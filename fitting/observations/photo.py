@@ -1,5 +1,6 @@
 """What was read from photographs, checked once on the way in."""
 
+import copy
 import dataclasses
 from typing import Any
 
@@ -8,6 +9,67 @@ import numpy as np
 import oceaninv as oi
 from fitting.observations.array_checks import as_array
 from oceaninv.foundation.spectrum import Response
+
+
+@dataclasses.dataclass(eq=False, init=False)
+class Board:
+    """The board that carries a chart's patches: what lies around a patch, out to open water.
+
+    A patch is seen in its own light and in light of its surroundings that water scatters into the
+    line of sight, and the board hides open water, see `oceaninv.target_transmission`.
+
+    **Arguments:**
+
+    - `width`, `height`: metres across and down.
+    - `size_sd`: standard deviation of ln of a factor on all lengths here; 0 takes them as exact.
+    - `patches`: (part, 4) rectangles on the board, each (across, down, half-width, half-height) in
+      metres, from the middle of the board; none by default.
+    - `reflectance`: (part, wl) or (part,) of the rectangles.
+    - `ground`: reflectance of the rest of the board.
+
+    **Raises:** ValueError where a length is not positive or above 20 m, or a patch lies outside the
+    board.
+    """
+
+    width: float
+    height: float
+    size_sd: float
+    patches: np.ndarray
+    reflectance: np.ndarray
+    ground: float
+
+    def __init__(
+        self,
+        width: float,
+        height: float,
+        size_sd: float = 0.05,
+        patches: Any = (),
+        reflectance: Any = (),
+        ground: float = 0.04,
+    ):
+        for name, value in (("width", width), ("height", height)):
+            if not 0 < value <= 20.0:
+                raise ValueError(
+                    f"{name} of a board is {value:g} m; between 0 and 20 m wanted (a length in mm "
+                    "is a thousand times too large)."
+                )
+        if not 0 <= size_sd < 2:
+            raise ValueError(f"size_sd of a board must lie in [0, 2), not {size_sd:g}.")
+        patches = np.asarray(patches, dtype=np.float64).reshape(-1, 4)
+        reflectance = np.asarray(reflectance, dtype=np.float64)
+        if len(reflectance) != len(patches):
+            raise ValueError(
+                f"a board needs one reflectance per patch: {len(reflectance)} for {len(patches)}."
+            )
+        reach = np.abs(patches[:, :2]) + patches[:, 2:]
+        outside = np.any(reach > np.array([width, height]) / 2 * (1 + 1e-6), axis=1)
+        if outside.any() or np.any(patches[:, 2:] <= 0):
+            raise ValueError(
+                f"{int(outside.sum())} of {len(patches)} patches have no size or lie outside the "
+                f"board of {width:g} x {height:g} m: give lengths in metres from its middle."
+            )
+        self.width, self.height, self.size_sd = float(width), float(height), float(size_sd)
+        self.patches, self.reflectance, self.ground = patches, reflectance, float(ground)
 
 
 @dataclasses.dataclass(eq=False, init=False)
@@ -23,6 +85,10 @@ class Chart:
     - `zenith`: direction of the line of sight, degrees; 90 (default) is horizontal, 180 down.
     - `name`: for reports.
     - `distance_sd`: relative standard deviation of `distance`; 0 (default) takes it as exact.
+    - `board`: what the patches are on; `None`: unknown, a square of 0.2 m within a factor of 1.6,
+      as reflecting as the patches in the mean, with all patches in its middle.
+    - `place`: (patch,) which of the board's patches each reading is of; unless given, a board with
+      as many patches as readings has them in the order of the readings.
     """
 
     values: np.ndarray
@@ -32,6 +98,8 @@ class Chart:
     zenith: float
     name: str
     distance_sd: float
+    board: Board | None
+    place: np.ndarray | None
 
     def __init__(
         self,
@@ -42,6 +110,8 @@ class Chart:
         zenith=90.0,
         name="chart",
         distance_sd: Any = 0.0,
+        board: Board | None = None,
+        place: Any = None,
     ):
         values = as_array("values", values, 2)
         reflectance = np.asarray(reflectance, dtype=np.float64)
@@ -60,6 +130,34 @@ class Chart:
         self.reflectance = reflectance
         self.distance = float(distance)
         self.distance_sd = float(distance_sd)
+        self.board, self.place = board, _places(board, place, len(values), name)
+        if board is not None and distance < max(board.width, board.height) / 2:
+            raise ValueError(
+                f"the board of {name!r} is {board.width:g} x {board.height:g} m and {distance:g} m "
+                "away: nearer than its half-size, a patch's surroundings are not seen at small "
+                "angles; check the unit of the size and of the range."
+            )
+
+    def only(self, keep: np.ndarray) -> "Chart":
+        """The chart with these readings alone, on the same board."""
+        kept = copy.copy(self)
+        for key in ("values", "reflectance", "sigma"):
+            setattr(kept, key, getattr(self, key)[keep])
+        kept.place = None if self.place is None else self.place[keep]
+        return kept
+
+
+def _places(board: Board | None, place, readings: int, name: str) -> np.ndarray | None:
+    """The board's patch of each reading, or None where the board has none."""
+    if board is None or not len(board.patches):
+        return None
+    place = np.arange(readings) if place is None else np.asarray(place)
+    if place.shape != (readings,) or np.any((place < 0) | (place >= len(board.patches))):
+        raise ValueError(
+            f"place of chart {name!r} must name one of the board's {len(board.patches)} patches, "
+            f"from 0, for each of {readings} readings."
+        )
+    return place.astype(int)
 
 
 @dataclasses.dataclass(eq=False, init=False)

@@ -1,7 +1,7 @@
 """Derivatives of light fields by changing all bands at once.
 
-Elastic light of a band depends on the water in that band only, and a ray or depth on its own
-distance only: one pass that changes all bands, or all distances, gives the derivative of each.  A
+Elastic light of a band depends on the water in that band only, and a ray or irradiance on its own
+depth only: one pass that changes all bands, or all depths, gives the derivative of each.  A
 derivative in many unknowns then takes as many passes through the light field as there are rows of
 optical properties that they change (five or so), not as many as there are unknowns.
 """
@@ -13,6 +13,9 @@ from jaxtyping import Array, Float
 
 import oceaninv as oi
 from oceaninv.transport.base import AbstractTransport
+
+# Metres after which a line of sight into open water ends.
+_FAR = 1e6
 
 
 def _basis(leaves: list) -> tuple:
@@ -27,8 +30,8 @@ def _basis(leaves: list) -> tuple:
 
 
 def _bandwise(function):
-    """The derivative of `function` (rows, numbers, own, rest) -> (n, wl) by as few passes as it
-    has arguments: `rows` a tuple of (wl,), `numbers` a tuple of scalars, `own` (n,)."""
+    """The derivative of `function` (rows, numbers, own, rest) -> (..., n, wl) by as few passes as
+    it has arguments: `rows` a tuple of (wl,), `numbers` a tuple of scalars, `own` (n,)."""
 
     @eqx.filter_custom_jvp
     def wrapped(rows, numbers, own, rest):
@@ -61,24 +64,28 @@ def _bandwise(function):
         # for every unknown, as it fuses the computation of an element into each of its uses.
         shape = slopes.shape
         pushes = jnp.stack([jnp.broadcast_to(moves[k], shape[1:]) for k in live])
-        return value, jnp.einsum("knw,knw->nw", slopes, pushes)
+        return value, jnp.einsum("k...,k...->...", slopes, pushes)
 
     return wrapped
 
 
-def _scene(rows, phases, zenith) -> oi.Scene:
+def _water(rows, phases) -> oi.IOPs:
     grid, shapes = phases
-    water = oi.IOPs(grid, rows[0][None, :], jnp.stack(rows[1:]), shapes)
-    return oi.Scene(water, oi.Light(zenith, jnp.ones_like(rows[0])), oi.FlatSurface())
+    return oi.IOPs(grid, rows[0][None, :], jnp.stack(rows[1:]), shapes)
+
+
+def _scene(rows, phases, zenith) -> oi.Scene:
+    return oi.Scene(
+        _water(rows, phases), oi.Light(zenith, jnp.ones_like(rows[0])), oi.FlatSurface()
+    )
 
 
 @_bandwise
 def _radiance(rows, numbers, own, rest):
     transport, phases, direction = rest
-    zenith, depth = numbers
-    zero = jnp.zeros_like(depth)
-    rays = oi.Rays(jnp.stack([zero, zero, depth]), direction, own)
-    return transport.radiance(_scene(rows, phases, zenith), rays, None).value
+    zero = jnp.zeros_like(own)
+    rays = oi.Rays(jnp.stack([zero, zero, own], axis=-1), direction, jnp.full_like(own, _FAR))
+    return transport.radiance(_scene(rows, phases, numbers[0]), rays, None).value
 
 
 @_bandwise
@@ -87,26 +94,51 @@ def _irradiance(rows, numbers, own, rest):
     return transport.irradiance(_scene(rows, phases, numbers[0]), own, None).Ed.value
 
 
+@_bandwise
+def _rings(rows, numbers, own, rest):
+    grid_and_shapes, radius = rest
+    peak_width, board_size = numbers
+    water = _water(rows, grid_and_shapes)
+    discs = oi.disc_transmission(water, own, radius * board_size, peak_width)
+    discs = jnp.swapaxes(discs, 0, 1)
+    return jnp.concatenate([discs[:1], jnp.diff(discs, axis=0)])
+
+
+def ring_transmission(
+    water: oi.IOPs,
+    distance: Float[Array, " chart"],
+    radius: Float[Array, "chart ring"],
+    peak_width: Float[Array, ""],
+    board_size: Float[Array, ""],
+) -> Float[Array, "ring chart wl"]:
+    """Share of the light of the rings about a line of sight that arrives.
+
+    - `radius`: m, outer radii; the innermost ring is a disc.  No derivative.
+    - `peak_width`: see `oceaninv.disc_transmission`; `board_size`: factor on the radii.
+    """
+    rows = (water.a, *water.b_components)
+    numbers = (peak_width, board_size)
+    return _rings(rows, numbers, distance, ((water.grid, water.phases), radius))
+
+
 def _parts(scene: oi.Scene):
     water = scene.water
     assert isinstance(water, oi.IOPs)
     return (water.a, *water.b_components), (water.grid, water.phases)
 
 
-def path_radiance(
+def open_radiance(
     scene: oi.Scene,
-    depth: Float[Array, ""],
+    depths: Float[Array, " ray"],
     direction: Float[Array, "ray 3"],
-    distance: Float[Array, " ray"],
     transport: AbstractTransport,
 ) -> Float[Array, "ray wl"]:
-    """Path radiance of each line of sight from an eye at `depth` over `distance` (m).
+    """Radiance of open water without end along lines of sight from eyes at `depths` (m).
 
     For one water lit by the sun alone under a flat surface; no derivative in `direction`.
     """
     rows, phases = _parts(scene)
-    numbers = (scene.light.zenith, depth)
-    found = _radiance(rows, numbers, distance, (transport, phases, direction))
+    found = _radiance(rows, (scene.light.zenith,), depths, (transport, phases, direction))
     return found * scene.light.direct[None, :]
 
 

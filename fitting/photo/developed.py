@@ -6,7 +6,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from fitting.core.result import Fit
-from fitting.observations.photo import Chart, Photo
+from fitting.observations.photo import Photo
 from fitting.photo.fit_photo import fit_photo
 
 # Reduced chi-square above which readings and model disagree.
@@ -28,12 +28,7 @@ def only_greys(photo: Photo) -> Photo | None:
         if grey.sum() < _LEAST_GREYS:
             return None
         coloured |= not grey.all()
-        charts.append(
-            Chart(
-                chart.values[grey], spectra[grey], chart.distance, chart.sigma[grey],
-                chart.zenith, chart.name, chart.distance_sd,
-            )
-        )  # fmt: skip
+        charts.append(chart.only(grey))
     if not coloured:
         return None
     made = copy.copy(photo)

@@ -8,16 +8,20 @@ from jaxtyping import Array, Bool, Float
 
 import oceaninv as oi
 from fitting.observations.photo import WAVELENGTH, Photo, Pixels
-from fitting.photo._band_derivatives import downward, path_radiance
+from fitting.photo._band_derivatives import downward, open_radiance, ring_transmission
 from fitting.photo._lamp import lamplit
+from fitting.photo.surroundings import RINGS, spectra_of, surroundings_of
 from fitting.water_model.unknowns import water_iops
 from oceaninv.transport.base import AbstractTransport
 
-_FAR = 1e6
 # Range classes of pixels: within one, the range is taken as its mean.
 _CLASSES = 24
 # Natural reflectance: mean, relative spread in brightness and (correlated over 100 nm) in colour.
 _ALBEDO, _BRIGHTNESS, _COLOUR, _SMOOTH = 0.2, 0.5, 0.25, 100.0
+# Radius over range of a surface of its own in a view of things: one of 200 in 0.6 sr.
+_SURFACE = 0.03
+# Metres, to which lamplight comes back from open water.
+_FAR = 1e6
 ALBEDO_TERMS = 4
 
 
@@ -38,19 +42,29 @@ class PixelClasses(eqx.Module):
 
 
 class Readings(eqx.Module):
-    """The numbers of one photograph as arrays, one row per reading (patch or background).
+    """The numbers of one photograph as arrays, one row per reading: patches, then open water.
 
-    `ray`: index of each reading's line of sight; readings of background have reflectance 0.
+    - `reflectance`, `cover`: of the rings about each patch, see `Surroundings`.
+    - `chart`: (patch,) the chart of each patch.
+    - `radius`: (chart, ring) m; `fall`: (chart,) how far the line of sight to a chart descends per
+      metre; `distance`: (chart,) m.
+    - `direction`: distinct lines of sight into open water; `view`: (reading,) the one of each.
+    - `level`: (chart,) whether the view is horizontal: the open water behind such a chart is as
+      bright as before it.
     """
 
     values: Float[Array, "reading channel"]
     sigma: Float[Array, "reading channel"]
     mask: Bool[Array, "reading channel"]
-    reflectance: Float[Array, "reading wl"]
-    ray: tuple[int, ...] = eqx.field(static=True)
+    reflectance: Float[Array, "patch ring wl"]
+    cover: Float[Array, "patch ring"]
+    chart: tuple[int, ...] = eqx.field(static=True)
+    radius: Float[Array, "chart ring"]
+    fall: Float[Array, " chart"]
+    distance: Float[Array, " chart"]
     direction: Float[Array, "ray 3"]
-    distance: Float[Array, " ray"]
-    is_chart: tuple[bool, ...] = eqx.field(static=True)
+    view: tuple[int, ...] = eqx.field(static=True)
+    level: tuple[bool, ...] = eqx.field(static=True)
     response: oi.spectrum.Response | None
     exposure: Float[Array, ""] | None
     pixels: PixelClasses | None
@@ -65,49 +79,47 @@ def _direction(zenith: float, azimuth: float) -> list[float]:
 
 def readings_of(photo: Photo) -> Readings:
     """The arrays of one photograph; ValueError when a chart is on other wavelengths."""
-    values, sigma = [np.zeros((0, 3))], [np.zeros((0, 3))]
-    reflectance, ray = [np.zeros((0, len(WAVELENGTH)))], []
-    directions, distance, is_chart = [], [], []
-
-    def add_ray(zenith, length, chart):
-        directions.append(_direction(zenith, photo.azimuth))
-        distance.append(length)
-        is_chart.append(chart)
-        return len(directions) - 1
-
-    for chart in photo.charts:
-        index = add_ray(chart.zenith, chart.distance, True)
-        spectra = chart.reflectance
-        if spectra.ndim == 1:
-            spectra = np.broadcast_to(spectra[:, None], (len(spectra), len(WAVELENGTH)))
+    values, sigma, chart, zeniths = [np.zeros((0, 3))], [np.zeros((0, 3))], [], []
+    reflectance, cover = [np.zeros((0, RINGS, len(WAVELENGTH)))], [np.zeros((0, RINGS))]
+    radius = [np.zeros((0, RINGS))]
+    for k, one in enumerate(photo.charts):
+        spectra = spectra_of(one.reflectance)
         if spectra.shape[1] != len(WAVELENGTH):
             raise ValueError(
-                f"reflectance of chart {chart.name!r} must be given at the {len(WAVELENGTH)} "
+                f"reflectance of chart {one.name!r} must be given at the {len(WAVELENGTH)} "
                 f"wavelengths of fitting.photo.fit_photo.WAVELENGTH, not at {spectra.shape[1]}."
             )
-        values.append(chart.values)
-        sigma.append(chart.sigma)
-        reflectance.append(spectra)
-        ray += [index] * len(chart.values)
+        around = surroundings_of(one)
+        values.append(one.values)
+        sigma.append(one.sigma)
+        reflectance.append(around.reflectance)
+        cover.append(around.cover)
+        radius.append(around.radius[None])
+        chart += [k] * len(one.values)
+        zeniths += [one.zenith] * len(one.values)
     for background in photo.backgrounds:
-        for row, spread, zenith in zip(
-            background.values, background.sigma, background.zenith, strict=True
-        ):
-            ray.append(add_ray(zenith, _FAR, False))
-            values.append(row[None])
-            sigma.append(spread[None])
-            reflectance.append(np.zeros((1, len(WAVELENGTH))))
+        values.append(background.values)
+        sigma.append(background.sigma)
+        zeniths += background.zenith.tolist()
     data, spread = np.concatenate(values), np.concatenate(sigma)
     mask = np.isfinite(data) & (data > 0) & np.isfinite(spread) & (spread > 0)
+    views = list(dict.fromkeys(zeniths))
+    falls = [_direction(one.zenith, photo.azimuth)[2] for one in photo.charts]
     return Readings(
         jnp.asarray(np.where(mask, data, 1.0)),
         jnp.asarray(np.where(mask, spread, 1.0)),
         jnp.asarray(mask),
         jnp.asarray(np.concatenate(reflectance)),
-        tuple(ray),
-        jnp.asarray(np.asarray(directions, dtype=float).reshape(-1, 3)),
-        jnp.asarray(np.asarray(distance, dtype=float)),
-        tuple(is_chart),
+        jnp.asarray(np.concatenate(cover)),
+        tuple(chart),
+        jnp.asarray(np.concatenate(radius)),
+        jnp.asarray(np.asarray(falls, dtype=float)),
+        jnp.asarray(np.asarray([one.distance for one in photo.charts], dtype=float)),
+        jnp.asarray(
+            np.asarray([_direction(z, photo.azimuth) for z in views], dtype=float).reshape(-1, 3)
+        ),
+        tuple(views.index(z) for z in zeniths),
+        tuple(bool(abs(fall) < 1e-9) for fall in falls),
         photo.response,
         None if photo.exposure is None else jnp.asarray(photo.exposure),
         None if photo.pixels is None else _classes(photo.pixels, photo.azimuth),
@@ -207,69 +219,118 @@ def predict(
 ) -> Float[Array, "reading channel"]:
     """Camera values of every reading of one photograph.
 
-    values = G (I + M) [ W (rho q Ed/pi e^(-c P)) + v W A ], with G the channel gains, M an
-    optional matrix of cross-talk, q the irradiance on the chart relative to Ed at its depth,
-    A the path radiance and v its relative model error.  By lamplight see
-    `fitting.photo._lamp.lamplit`.
+    values = G (I + M) W [ v (L - sum_j D_j f_j L') + sum_j D_j rho_j q Ed/pi ], with G the channel
+    gains, M an optional matrix of cross-talk, L the radiance of open water at the camera and L'
+    that which arrives at the chart from behind, v the relative model error of both, D_j the share
+    of the light of ring j about the patch that arrives (`oceaninv.disc_transmission`), f_j the
+    share of the ring that lies on the board, rho_j its mean reflectance, and q the irradiance on
+    the chart relative to Ed at its depth.  By lamplight see `fitting.photo._lamp.lamplit`.
     """
     lit = light_up(values, readings, sunlight, photo)
     return predict_lit(lit, values, readings, transport, photo)
 
 
 def predict_lit(lit: Lit, values, readings: Readings, transport, photo: int):
-    if not readings.ray:
+    if not readings.view:
         return readings.values
-    dtype = lit.depth.dtype
-    count = sum(readings.is_chart)
+    count = len(readings.level)
     distance = _distances(values, readings, photo)
-    direction = readings.direction
-    white = veil = jnp.zeros((0, 0), dtype)
     if readings.lamp:
-        white, veil = lamplit(
-            lit.water, lit.scene.light.direct, distance, values["overlap_distance"]
-        )
-    else:
-        veil = path_radiance(lit.scene, lit.depth, direction, distance, transport)
-    signal = (veil @ lit.response.T * lit.veil[None, :])[jnp.asarray(readings.ray)]
+        return _lamplit_readings(lit, values, readings, distance, photo)
+    if count == 0:
+        return _open_water(lit, readings, transport, distance)[0] @ lit.output.T
+    one = jnp.ones((), distance.dtype)
+    rings = ring_transmission(
+        lit.water,
+        distance,
+        readings.radius,
+        values.get("peak_width", one),
+        values.get("board_size", one),
+    )
+    chart_depth = jnp.maximum(lit.depth + distance * readings.fall, 0.0)
+    water, behind = _open_water(lit, readings, transport, chart_depth)
+    share = _shares(values, count, photo)
+    arriving = downward(lit.scene, chart_depth, transport) * share[:, None] / jnp.pi
+    # Contracted with the response first: patches are many, rings and channels few.
+    own = jnp.einsum("jkw,kw,cw->kjwc", rings, arriving, lit.response)
+    hidden = jnp.einsum("jkw,kw,cw->kjc", rings, behind, lit.response * lit.veil[:, None])
+    seen = []
+    for k in range(count):
+        rows = slice(readings.chart.index(k), readings.chart.index(k) + readings.chart.count(k))
+        flat = readings.reflectance[rows].reshape(readings.chart.count(k), -1)
+        seen.append(flat @ own[k].reshape(-1, 3) - readings.cover[rows] @ hidden[k])
+    water = water.at[: len(readings.chart)].add(jnp.concatenate(seen))
+    return water @ lit.output.T
+
+
+def _shares(values, count: int, photo: int):
+    return jnp.stack([values[f"chart_{photo}_{k}"] for k in range(count)])
+
+
+def _lamplit_readings(lit: Lit, values, readings: Readings, distance, photo: int):
+    """(reading, channel) by a lamp's light, which has been scattered once at most."""
+    far = jnp.full((1,), _FAR, distance.dtype)
+    light = (lit.scene.light.direct, jnp.concatenate([distance, far]))
+    white, veil = lamplit(lit.water, *light, values["overlap_distance"])
+    count, patches = len(readings.level), len(readings.chart)
+    ends = jnp.asarray([*readings.chart, *[count] * (len(readings.view) - patches)])
+    signal = (veil @ lit.response.T * lit.veil[None, :])[ends]
     if count:
-        share = jnp.stack([values[f"chart_{photo}_{k}"] for k in range(count)])
-        if readings.lamp:
-            arriving = jnp.pi * white[:count] * share[:, None]
-        else:
-            chart_depth = jnp.maximum(lit.depth + distance[:count] * direction[:count, 2], 0.0)
-            down = downward(lit.scene, chart_depth, transport)
-            through = jnp.exp(-lit.water.c[None, :] * distance[:count, None])
-            arriving = down * share[:, None] * through
-        patches = [i for i, r in enumerate(readings.ray) if r < count]
-        owner = jnp.asarray([readings.ray[i] for i in patches])
-        seen = readings.reflectance[: len(patches)] / jnp.pi * arriving[owner]
-        signal = signal.at[: len(patches)].add(seen @ lit.response.T)
+        arriving = white[:count] * _shares(values, count, photo)[:, None]
+        own = readings.reflectance[:, 0] * arriving[jnp.asarray(readings.chart)]
+        signal = signal.at[:patches].add(own @ lit.response.T)
     return signal @ lit.output.T
 
 
+def _open_water(lit: Lit, readings: Readings, transport, chart_depth):
+    """(reading, channel) open water as the camera sees it, and (chart, wl) its radiance behind each
+    chart."""
+    direction = readings.direction
+    depth = jnp.broadcast_to(lit.depth, (len(direction),))
+    slanted = [k for k, level in enumerate(readings.level) if not level]
+    first = {k: readings.view[readings.chart.index(k)] for k in range(len(readings.level))}
+    if slanted:
+        own = jnp.asarray([first[k] for k in slanted])
+        direction = jnp.concatenate([direction, direction[own]])
+        depth = jnp.concatenate([depth, chart_depth[jnp.asarray(slanted)]])
+    radiance = open_radiance(lit.scene, depth, direction, transport)
+    seen = radiance[jnp.asarray(readings.view)] @ lit.response.T * lit.veil[None, :]
+    end = len(readings.direction)
+    rows = [first[k] if level else end + slanted.index(k) for k, level in enumerate(readings.level)]
+    return seen, radiance[jnp.asarray(rows, dtype=int)]
+
+
 def _distances(values, readings: Readings, photo: int):
-    factors = [
-        values.get(f"range_{photo}_{k}", jnp.ones((), readings.distance.dtype))
-        for k in range(len(readings.is_chart))
-    ]
-    return readings.distance * jnp.stack(factors)
+    one = jnp.ones((), readings.distance.dtype)
+    factors = [values.get(f"range_{photo}_{k}", one) for k in range(len(readings.level))]
+    return readings.distance * jnp.stack(factors) if factors else readings.distance
 
 
 def predict_pixels(lit: Lit, values, pixels: PixelClasses, transport, photo: int):
-    """(class, channel) mean values of pixels, and (class, channel, term) their variation."""
+    """(class, channel) mean values of pixels, and (class, channel, term) their variation.
+
+    The things fill the view: their mean brightness is lost with c - b_forward.  Their differences
+    are lost like those of surfaces with the radius `_SURFACE` times the range.
+    """
     dtype = lit.depth.dtype
-    direction = jnp.broadcast_to(pixels.direction, (pixels.distance.shape[0], 3))
-    veil = path_radiance(lit.scene, lit.depth, direction, pixels.distance, transport)
-    veil = veil @ lit.response.T * lit.veil[None, :]
     depth = jnp.maximum(lit.depth + pixels.distance * pixels.direction[2], 0.0)
+    depths = jnp.concatenate([lit.depth[None], depth])
+    direction = jnp.broadcast_to(pixels.direction, (len(depths), 3))
+    water = open_radiance(lit.scene, depths, direction, transport)
+    discs = _SURFACE * pixels.distance
+    part = oi.disc_transmission(
+        lit.water, pixels.distance, discs[:, None], values.get("peak_width", 1.0)
+    )[:, 0]
+    lost = lit.water.a + lit.water.bb
+    whole = jnp.exp(-lost[None, :] * pixels.distance[:, None])
+    veil = (water[:1] - whole * water[1:]) @ lit.response.T * lit.veil[None, :]
     down = downward(lit.scene, depth, transport) / jnp.pi
-    arriving = down * jnp.exp(-lit.water.c[None, :] * pixels.distance[:, None])
     basis = jnp.asarray(_BASIS, dtype)
     scores = jnp.stack([values[f"albedo_{photo}_{k}"] for k in range(ALBEDO_TERMS)])
     mean = _ALBEDO + basis @ scores
     camera = lit.output @ lit.response
-    vary = jnp.einsum("cw,rw,wk->rck", camera, arriving, basis)
-    return veil @ lit.output.T + (arriving * mean[None, :]) @ camera.T, vary
+    vary = jnp.einsum("cw,rw,wk->rck", camera, down * part, basis)
+    return veil @ lit.output.T + (down * whole * mean[None, :]) @ camera.T, vary
 
 
 def pixel_residual(lit: Lit, values, pixels: PixelClasses, transport, photo: int):

@@ -24,6 +24,7 @@ from fitting.photo.forward_model import (
     predict_pixels,
     readings_of,
 )
+from fitting.photo.surroundings import SIDE_SD
 from fitting.water_model.quantities import UNITS, water_quantities
 from fitting.water_model.unknowns import constituents, pigment_packaging, shape_nuisances
 from oceaninv.transport.base import AbstractTransport
@@ -35,6 +36,12 @@ _LAMP_EVENNESS = 0.1
 # least squares into the algae's mean spectrum and an exponential; 1.48 times the median deviation).
 _ALGAL_ABSORPTION = 0.55
 
+
+# Factor on the width of the particles' forward peak, and sd of its ln.  With it, the water model's
+# phase functions have the image-forming light of others of equal bb/b, to 4 % for b r = 1 and discs
+# of 0.005-0.3 of the range: 0.84-1.9 for the functions of Fournier & Forand that bb/b alone selects
+# (Mobley et al. 2002), 1.5-3.2 for those of index 1.05-1.15 and slope 3.5-3.9, 2.2 for Petzold's.
+_PEAK_WIDTH = (1.5, 0.5)
 
 # Largest change (ln) of a correction from its value at the point: further away it is not known.
 _LARGEST_CHANGE = 0.5
@@ -166,9 +173,22 @@ def _unknowns(photos: Sequence[Photo], matrix: bool) -> Parameters:
     if any(photo.lamp for photo in photos):
         # Where lamp and view begin to overlap, which the lamp's arm and cone decide.
         unknowns.append(Parameter("overlap_distance", 0.2, 0.7, Log(), "m", True))
+    unknowns += _of_boards(photos)
     for p, photo in enumerate(photos):
         unknowns += _of_frame(p, photo)
     return Parameters(unknowns)
+
+
+def _of_boards(photos: Sequence[Photo]) -> list[Parameter]:
+    """Unknowns of the light that boards and things send through small angles."""
+    charts = [chart for photo in photos if not photo.lamp for chart in photo.charts]
+    found = []
+    if charts or any(photo.pixels is not None for photo in photos):
+        found.append(Parameter("peak_width", *_PEAK_WIDTH, nuisance=True))
+    sizes = [SIDE_SD if chart.board is None else chart.board.size_sd for chart in charts]
+    if max(sizes, default=0.0) > 0:
+        found.append(Parameter("board_size", 1.0, max(sizes), nuisance=True))
+    return found
 
 
 def _of_frame(p: int, photo: Photo) -> list[Parameter]:

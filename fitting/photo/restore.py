@@ -10,9 +10,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-import oceaninv as oi
 from fitting.core.result import Fit
 from fitting.images.photograph_file import Photograph
+from fitting.photo._band_derivatives import open_radiance
 from fitting.photo.forward_model import light_up
 from oceaninv.foundation.figure_file import save_figure
 
@@ -178,17 +178,17 @@ def _along(problem, x, ranges, photo: int, zenith):
     readings = problem.readings[photo]
     lit = light_up(values, readings, problem.sunlight, photo)
     # All rays of a photograph have the azimuth of its readings.
-    first = readings.direction[0] if len(readings.ray) else readings.pixels.direction
+    first = readings.direction[0] if len(readings.view) else readings.pixels.direction
     around = jnp.arctan2(first[1], first[0])
     tilt = jnp.radians(zenith)
     way = jnp.stack([jnp.sin(tilt) * jnp.cos(around), jnp.sin(tilt) * jnp.sin(around),
                      -jnp.cos(tilt)])  # fmt: skip
-    zero = jnp.zeros((), x.dtype)
-    rays = oi.Rays(
-        jnp.stack([zero, zero, lit.depth]), jnp.broadcast_to(way, (len(ranges), 3)), ranges
-    )
-    veil = problem.transport.radiance(lit.scene, rays, None).value @ lit.response.T
     depths = jnp.maximum(lit.depth + ranges * way[2], 0.0)
+    at = jnp.concatenate([lit.depth[None], depths])
+    water = open_radiance(lit.scene, at, jnp.broadcast_to(way, (len(at), 3)), problem.transport)
+    # The things fill the view, see `predict_pixels`.
+    whole = jnp.exp(-(lit.water.a + lit.water.bb)[None, :] * ranges[:, None])
+    veil = (water[:1] - whole * water[1:]) @ lit.response.T
     down = problem.transport.irradiance(lit.scene, depths, None).Ed.value / jnp.pi
-    arriving = down * jnp.exp(-lit.water.c[None, :] * ranges[:, None])
+    arriving = down * whole
     return veil * lit.veil[None, :], arriving @ lit.response.T, lit.output

@@ -4,6 +4,7 @@
 # isort: off
 from oceaninv.water.bio_optics import (
     CDOM, BioOpticalModel, Constituents, Detritus, Minerals, Phytoplankton, gutierrez2008, jerlov)
+from oceaninv.water.image_forming import disc_transmission, target_transmission
 from oceaninv.water.inelastic import CDOMFluorescence, ChlorophyllFluorescence, Inelastic, Raman
 from oceaninv.water.iops import IOPs, Layers
 from oceaninv.water.pure_water import absorption, phase_constant, scattering
@@ -11,4 +12,5 @@ from oceaninv.water.pure_water import absorption, phase_constant, scattering
 __all__ = [
     "CDOM", "BioOpticalModel", "CDOMFluorescence", "ChlorophyllFluorescence", "Constituents",
     "Detritus", "IOPs", "Inelastic", "Layers", "Minerals", "Phytoplankton", "Raman", "absorption",
-    "gutierrez2008", "jerlov", "phase_constant", "scattering"]
+    "disc_transmission", "gutierrez2008", "jerlov", "phase_constant", "scattering",
+    "target_transmission"]

@@ -6,15 +6,16 @@ import numpy as np
 import pytest
 
 import oceaninv as oi
-from fitting.photo._band_derivatives import downward, path_radiance
+from fitting.photo._band_derivatives import downward, open_radiance, ring_transmission
 
 WAVELENGTH = oi.spectrum.bands(4)
 DIRECTION = jnp.asarray([[0.6, 0.0, 0.8], [1.0, 0.0, 0.0], [0.0, 0.8, -0.6]])
+RADIUS = jnp.asarray([[0.01, 0.05], [0.02, 0.04], [0.001, 0.1]])
 START = jnp.asarray([0.3, -0.2, 0.1, 35.0, 6.0, 2.0, 3.0, 4.0, 0.8])
 
 
 def unpacked(x):
-    """A scene, a depth and distances that all depend on the unknowns."""
+    """A scene, a number and depths that all depend on the unknowns."""
     grid = jnp.asarray(WAVELENGTH / 500.0)
     a = 0.1 * jnp.exp(x[0] * grid) + jnp.asarray([0.0, 0.02, 0.1, 0.4])
     b = jnp.stack([0.2 * grid ** x[1], 0.05 * (1.0 + x[2]) * jnp.ones_like(grid)])
@@ -25,17 +26,21 @@ def unpacked(x):
 
 
 def banded(transport, x):
-    scene, depth, distance = unpacked(x)
-    seen = path_radiance(scene, depth, DIRECTION, distance, transport)
-    return jnp.stack([seen, downward(scene, distance, transport)])
+    scene, size, depths = unpacked(x)
+    seen = open_radiance(scene, depths, DIRECTION, transport)
+    rings = ring_transmission(scene.water, depths, RADIUS, x[8], size)
+    return jnp.stack([seen, downward(scene, depths, transport), *rings])
 
 
 def plain(transport, x):
-    scene, depth, distance = unpacked(x)
-    zero = jnp.zeros_like(depth)
-    rays = oi.Rays(jnp.stack([zero, zero, depth]), DIRECTION, distance)
+    scene, size, depths = unpacked(x)
+    zero = jnp.zeros_like(depths)
+    eyes = jnp.stack([zero, zero, depths], axis=1)
+    rays = oi.Rays(eyes, DIRECTION, jnp.full_like(depths, 1e6))
     seen = transport.radiance(scene, rays, None).value
-    return jnp.stack([seen, transport.irradiance(scene, distance, None).Ed.value])
+    discs = oi.disc_transmission(scene.water, depths, size * RADIUS, x[8])
+    rings = [discs[:, 0], discs[:, 1] - discs[:, 0]]
+    return jnp.stack([seen, transport.irradiance(scene, depths, None).Ed.value, *rings])
 
 
 @pytest.mark.parametrize(

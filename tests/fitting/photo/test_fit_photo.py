@@ -151,16 +151,20 @@ def test_predicted_values_are_those_of_the_forward_chain():
     across = np.array([[0.0, 1.0, -6e-17]])
     weights = np.asarray(oi.spectrum.camera_response(CAMERA).weights(WAVELENGTH))
     lit = np.asarray(oi.irradiance(scene, [5.0]).Ed.value)[0]
+    endless = oi.Rays(np.array([0.0, 0.0, 5.0]), across)
+    water_seen = np.asarray(oi.radiance(scene, endless).value)[0]
     rows = []
     for r, light in ((1.0, 1.3), (3.0, 0.6)):
-        ray = oi.Rays(np.array([0.0, 0.0, 5.0]), across, np.array([r]))
-        veil = np.asarray(oi.radiance(scene, ray).value)[0]
-        arriving = light * lit / np.pi * np.exp(-np.asarray(model.c) * r)
-        rows += [rho * arriving + veil for rho in GREY]
-    endless = oi.Rays(np.array([0.0, 0.0, 5.0]), across)
-    rows.append(np.asarray(oi.radiance(scene, endless).value)[0])
-    expected = np.stack(rows) @ weights.T * np.array([0.4, 0.2, 0.3])
-    np.testing.assert_allclose(clean(), expected, rtol=1e-6)
+        # The board that is assumed where none is known: its patches are discs in its middle.
+        half, at = jnp.asarray([0.1]), jnp.asarray([r])
+        board = np.asarray(oi.target_transmission(model, at, half, peak_width=1.5))[0]
+        patch = np.asarray(oi.disc_transmission(model, at, 0.2 * half[None], 1.5))[0, 0]
+        arriving = light * lit / np.pi
+        behind = (1.0 - board) * water_seen
+        rows += [(rho * patch + GREY.mean() * (board - patch)) * arriving + behind for rho in GREY]
+    expected = np.stack([*rows, water_seen]) @ weights.T * np.array([0.4, 0.2, 0.3])
+    # A board's rings are 10 steps, and its corners are counted by points.
+    np.testing.assert_allclose(clean(), expected, rtol=3e-3)
 
 
 def test_a_shifted_response_is_the_response_moved_to_the_red():
@@ -294,7 +298,7 @@ def _off(fit, of_water):
     ("nuisance", "value"),
     [
         ("backscatter", 1.2),
-        ("detritus_scattering_ratio", 8.0),
+        ("detritus_scattering_ratio", 6.5),
         ("detritus_slope", 0.0105),
         ("phytoplankton_absorption", 1.4),
         ("phytoplankton_scattering", 1.5),
