@@ -11,6 +11,7 @@ from jaxtyping import Array, ArrayLike, Bool, Float, Num
 
 from fitting.bulk.media import AbstractMedium, Populations
 from fitting.core.diagnostics import Status
+from fitting.core.double_precision import in_double_precision
 from fitting.core.least_squares import check_solver, covariance, least_squares
 from fitting.core.parameters import Parameter, Parameters, Prior
 from fitting.core.result import Fit, Predictive, derived_quantity
@@ -86,6 +87,7 @@ def _solve(medium, layout: Parameters, prior: Prior, grid, readings: _Readings, 
     return jax.tree.map(lambda leaf: leaf[-1], rounds)
 
 
+@in_double_precision
 def fit_bulk(
     bulk: Bulk,
     medium: AbstractMedium | Mapping[str, Population] | Sequence[Population],

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from fitting.core.double_precision import in_double_precision
 from fitting.core.least_squares import covariance, least_squares, value_and_jacobian
 from fitting.core.parameters import Log, Parameters
 from fitting.core.problem import AbstractProblem
@@ -72,6 +73,7 @@ class LikelihoodRegion:
     scale: np.ndarray = dataclasses.field(repr=False)
     least: float
 
+    @in_double_precision
     def loss(self, values: Mapping[str, float]) -> float:
         """Twice the log posterior lost by holding some or all of the numbers at these values.
 
@@ -186,6 +188,7 @@ def _positive(parameters: Parameters) -> dict[str, int]:
     return {p.name: i for i, p in enumerate(parameters) if isinstance(p.transform, Log)}
 
 
+@in_double_precision
 def joint_region(
     fit: Fit, names: tuple[str, ...], level: float = 0.95
 ) -> Region | LikelihoodRegion:

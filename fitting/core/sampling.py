@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Array, Key
 
 from fitting.core.diagnostics import SamplerDiagnostics, Status
+from fitting.core.double_precision import in_double_precision
 from fitting.core.problem import AbstractProblem
 from fitting.core.program_cache import cached_jit
 from fitting.core.result import Fit, Quantity
@@ -40,6 +41,7 @@ class NUTS(eqx.Module):
     doublings: int = eqx.field(static=True, default=6)
 
 
+@in_double_precision
 def sample(
     fit: Fit,
     *,

@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from fitting.core.double_precision import in_double_precision
 from fitting.core.least_squares import least_squares
 from fitting.core.parameters import Identity, Parameter, Parameters, Prior
 from fitting.core.problem import AbstractProblem
@@ -49,6 +50,7 @@ def _refitted(problem: AbstractProblem, x, scale):
     return jax.lax.map(one, shares)
 
 
+@in_double_precision
 def assumptions(fit: Fit) -> dict[str, dict[str, float]]:
     """The change of each answer if the fit assumed something else.
 

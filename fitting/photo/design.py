@@ -7,6 +7,7 @@ import equinox as eqx
 import jax.numpy as jnp
 
 import oceaninv as oi
+from fitting.core.double_precision import in_double_precision
 from fitting.core.least_squares import (
     Optimum,
     covariance,
@@ -35,6 +36,7 @@ def _at(problem: PhotoProblem, x):
     )
 
 
+@in_double_precision
 def design(
     photos: Photo | Sequence[Photo],
     water: Mapping[str, float],

@@ -12,6 +12,7 @@ from jaxtyping import Array, Float
 
 import oceaninv as oi
 from fitting.core.diagnostics import Status
+from fitting.core.double_precision import in_double_precision
 from fitting.core.least_squares import (
     Optimum,
     check_solver,
@@ -156,6 +157,7 @@ def posterior_of(photos, transport, priors, matrix, sunlight, know, robust):
     return parameters, problem
 
 
+@in_double_precision
 def fit_photo(
     photos: Photo | Sequence[Photo],
     *,
@@ -276,6 +278,7 @@ def _starts(parameters, problem: PhotoProblem, count: int) -> Float[Array, "star
     return jnp.asarray(begin)
 
 
+@in_double_precision
 def fit_photos(
     photos: Sequence[Photo],
     *,

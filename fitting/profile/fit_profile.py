@@ -7,6 +7,7 @@ import numpy as np
 
 import oceaninv as oi
 from fitting.core.diagnostics import Status
+from fitting.core.double_precision import in_double_precision
 from fitting.core.least_squares import check_solver
 from fitting.core.multifidelity import EXACT, AccuracyTarget, corrected_fit, multifidelity_fit
 from fitting.core.parameters import Log, Parameter, Parameters
@@ -48,6 +49,7 @@ from oceaninv.fidelity.planning import model_label
 from oceaninv.transport.base import AbstractTransport
 
 
+@in_double_precision
 def fit_profile(
     profile: Profile,
     *,

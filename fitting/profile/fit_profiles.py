@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from fitting.core.diagnostics import Status
+from fitting.core.double_precision import in_double_precision
 from fitting.core.parameters import Parameter
 from fitting.core.result import STANDARD_NAMES, Fit, Quantity
 from fitting.observations.profile import Profile
@@ -225,6 +226,7 @@ class _Table:
         return found
 
 
+@in_double_precision
 def fit_profiles(
     profiles: Sequence[Profile],
     *,

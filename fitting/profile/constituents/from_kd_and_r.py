@@ -4,6 +4,7 @@ import dataclasses
 
 import numpy as np
 
+from fitting.core.double_precision import in_double_precision
 from fitting.core.parameters import Parameter, Parameters
 from fitting.core.result import Fit, Predictive, Quantity
 from fitting.profile.constituents.batched_search import (
@@ -28,6 +29,7 @@ _KD_ERROR, _WORTH, _TAILS, _REWEIGHTINGS = 0.05, 4.0, 4.0, 3
 _LEVEL = 0.1
 
 
+@in_double_precision
 def fit_apparent(
     wavelength,
     Kd,
