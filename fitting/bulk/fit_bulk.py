@@ -11,11 +11,11 @@ from jaxtyping import Array, ArrayLike, Bool, Float, Num
 
 from fitting.bulk.media import AbstractMedium, Populations
 from fitting.core.diagnostics import Status
-from fitting.core.double_precision import in_double_precision
 from fitting.core.least_squares import check_solver, covariance, least_squares
 from fitting.core.parameters import Parameter, Parameters, Prior
 from fitting.core.result import Fit, Predictive, derived_quantity
 from fitting.observations.bulk import Bulk
+from oceaninv.foundation.double_precision import in_double_precision
 from oceaninv.mie.particles import Population
 
 _NAMES = {

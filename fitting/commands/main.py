@@ -14,6 +14,7 @@ from fitting.commands import (
     plan_and_trade,
     read_charts,
     render,
+    rerun,
     template,
 )
 from oceaninv.foundation.provenance import Provenance, recording, version
@@ -36,6 +37,7 @@ for _command, _example in (
         read_charts.read_charts_command,
         'read-charts dive.dng --chart "A ColorChecker24 2.5 find" -o dive',
     ),
+    (rerun.rerun_command, "rerun cast_fit.nc -o cast_again.nc"),
     (check.check_command, "check dive.dng dive.csv"),
     (render.render_command, "render scene.toml --width 640 -o scene.png"),
     (plan_and_trade.plan_command, "plan scene.toml --tolerance 0.03"),
@@ -124,7 +126,9 @@ def main() -> None:
     """The console script."""
     # `trade` times its programs: they are optimised as those of a picture are.
     command = "".join(sys.argv[1:2])
-    _set_up(command in ("render", "trade"), fitting=command.startswith("fit-"))
+    _set_up(
+        command in ("render", "trade"), fitting=command.startswith("fit-") or command == "rerun"
+    )
     if command == "trade":  # a program that was stored would not count as compiled
         import jax
 

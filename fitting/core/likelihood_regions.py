@@ -8,12 +8,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from fitting.core.double_precision import in_double_precision
 from fitting.core.least_squares import covariance, least_squares, value_and_jacobian
 from fitting.core.parameters import Log, Parameters
 from fitting.core.problem import AbstractProblem
 from fitting.core.program_cache import cached_jit
 from fitting.core.result import Fit
+from oceaninv.foundation.double_precision import in_double_precision
 
 # Weights that hold numbers at their values, in units of one over their standard deviations, in
 # successive searches.  With the last, the sum of squares is short of the exact one by a part in

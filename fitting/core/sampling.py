@@ -10,10 +10,10 @@ import numpy as np
 from jaxtyping import Array, Key
 
 from fitting.core.diagnostics import SamplerDiagnostics, Status
-from fitting.core.double_precision import in_double_precision
 from fitting.core.problem import AbstractProblem
 from fitting.core.program_cache import cached_jit
 from fitting.core.result import Fit, Quantity
+from oceaninv.foundation.double_precision import in_double_precision
 
 # Acceptance that the step is tuned to.
 _TARGET = 0.8

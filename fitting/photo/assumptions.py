@@ -7,13 +7,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from fitting.core.double_precision import in_double_precision
 from fitting.core.least_squares import least_squares
 from fitting.core.parameters import Identity, Parameter, Parameters, Prior
 from fitting.core.problem import AbstractProblem
 from fitting.core.program_cache import cached_jit
 from fitting.core.result import Fit
 from fitting.water_model.alternatives import ALTERNATIVES, PREFIX
+from oceaninv.foundation.double_precision import in_double_precision
 
 
 def open_to(parameters: Parameters, names=tuple(ALTERNATIVES)) -> Parameters:

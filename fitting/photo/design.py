@@ -7,7 +7,6 @@ import equinox as eqx
 import jax.numpy as jnp
 
 import oceaninv as oi
-from fitting.core.double_precision import in_double_precision
 from fitting.core.least_squares import (
     Optimum,
     covariance,
@@ -20,6 +19,7 @@ from fitting.observations.photo import Photo
 from fitting.photo.fit_photo import Known, posterior_of
 from fitting.photo.problem import PhotoProblem, predict_all
 from fitting.photo.result import photo_result
+from oceaninv.foundation.double_precision import in_double_precision
 from oceaninv.transport.base import AbstractTransport
 
 

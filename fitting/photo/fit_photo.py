@@ -12,7 +12,6 @@ from jaxtyping import Array, Float
 
 import oceaninv as oi
 from fitting.core.diagnostics import Status
-from fitting.core.double_precision import in_double_precision
 from fitting.core.least_squares import (
     Optimum,
     check_solver,
@@ -31,6 +30,7 @@ from fitting.photo.result import photo_result
 from fitting.water_model.quantities import UNITS
 from fitting.water_model.scene_of_fit import scene_at
 from oceaninv.fidelity.planning import model_label
+from oceaninv.foundation.double_precision import in_double_precision
 from oceaninv.transport.base import AbstractTransport
 
 # Ancillary values: (value, standard deviation) by the name of a parameter or scalar quantity.

@@ -10,11 +10,11 @@ import numpy as np
 from jaxtyping import Float
 
 import oceaninv as oi
-from fitting.core.double_precision import in_double_precision
 from fitting.core.program_cache import cached_jit
 from fitting.core.result import Fit
 from fitting.images.photograph_file import Photograph
 from fitting.photo.forward_model import light_up
+from oceaninv.foundation.double_precision import in_double_precision
 from oceaninv.foundation.figure_file import save_figure
 
 _RANGES = 48

@@ -7,7 +7,6 @@ import numpy as np
 
 import oceaninv as oi
 from fitting.core.diagnostics import Status
-from fitting.core.double_precision import in_double_precision
 from fitting.core.least_squares import check_solver
 from fitting.core.multifidelity import EXACT, AccuracyTarget, corrected_fit, multifidelity_fit
 from fitting.core.parameters import Log, Parameter, Parameters
@@ -46,6 +45,7 @@ from fitting.water_model.quantities import UNITS, quantities_of
 from fitting.water_model.scene_of_fit import scene_at
 from fitting.water_model.unknowns import modelled_bands, water_unknowns
 from oceaninv.fidelity.planning import model_label
+from oceaninv.foundation.double_precision import in_double_precision
 from oceaninv.transport.base import AbstractTransport
 
 

@@ -4,7 +4,6 @@ import dataclasses
 
 import numpy as np
 
-from fitting.core.double_precision import in_double_precision
 from fitting.core.parameters import Parameter, Parameters
 from fitting.core.result import Fit, Predictive, Quantity
 from fitting.profile.constituents.batched_search import (
@@ -20,6 +19,7 @@ from fitting.water_model.unknowns import (
     shape_nuisances,
     water_unknowns,
 )
+from oceaninv.foundation.double_precision import in_double_precision
 from oceaninv.foundation.tables import check_wavelength
 from oceaninv.transport.base import AbstractTransport
 

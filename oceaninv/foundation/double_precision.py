@@ -1,4 +1,4 @@
-"""Fits run in double precision, whatever JAX is set to where they are called."""
+"""Functions that run in double precision, whatever JAX is set to where they are called."""
 
 import copy
 import dataclasses
@@ -8,6 +8,7 @@ from typing import Any
 
 import jax
 import numpy as np
+from jax.core import Tracer
 
 _DOUBLE = {"float32": np.float64, "complex64": np.complex128}
 
@@ -51,7 +52,7 @@ def promoted(value: Any) -> Any:
 
 
 def _promoted_leaf(leaf: Any) -> Any:
-    if isinstance(leaf, jax.core.Tracer):
+    if isinstance(leaf, Tracer):
         return leaf
     if type(leaf) is dict:
         new = {key: promoted(part) for key, part in leaf.items()}
