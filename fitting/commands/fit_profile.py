@@ -464,6 +464,7 @@ def _print_kd(fit: "Fit") -> None:
         print(f"the cast went down or up {ways} times: each way was fitted, then combined")
     for reason, number in fit.metadata["left_out"].items():
         print(f"{reason}: {number}")
+    print(f"self-shading, immersion: {fit.metadata['self_shading_and_immersion']}")
     print(f"search: {fit.result}")
 
 

@@ -111,12 +111,12 @@ def _write_new(target: Path, content: bytes) -> None:
 @contextlib.contextmanager
 def _opened(path: Path) -> Iterator[Any]:
     """A netCDF-4 file; ValueError, naming it, for whatever goes wrong with its content."""
-    import h5netcdf
+    import h5py
 
     if not path.is_file():
         raise ValueError(f"{path} does not exist or is no file: name the result of a fit.")
     try:
-        with h5netcdf.File(path, "r") as file:
+        with h5py.File(path, "r") as file:
             yield file
     except Exception as error:  # every library below has its own way to say "damaged"
         what = " ".join(str(error).split())[:200]
@@ -128,7 +128,7 @@ def _opened(path: Path) -> Iterator[Any]:
 def _record_of(path: Path) -> _Record:
     with _opened(path) as file:
         attributes = {name: file.attrs.get(name) for name in _FACTS}
-        archive = "cast" in file.dimensions
+        archive = "cast" in file
     version, command, inputs = (_text(attributes[name]) for name in _FACTS)
     if not is_own(path) or version is None or inputs is None:
         raise ValueError(f"{path} is no result of oceaninv that names its version and inputs.")
@@ -267,36 +267,52 @@ class _Difference(NamedTuple):
 
 def _differences(old: Path, new: Path) -> Iterator[_Difference]:
     with _opened(old) as before, _opened(new) as after:
-        yield from _of_group(before, after, "")
-        for name in after.groups:
-            if name in before.groups:
-                yield from _of_group(before.groups[name], after.groups[name], f"{name}/")
+        a, b = _content(before), _content(after)
+        for name in dict.fromkeys([*b, *a]):
+            if name in a and name in b:
+                yield _compared(name, a[name], b[name])
             else:
-                yield _Difference(name, float("inf"), "the old result lacks it")
-        for name in before.groups:
-            if name not in after.groups:
-                yield _Difference(name, float("inf"), "the new result lacks it")
+                which = "old" if name not in a else "new"
+                yield _Difference(name, float("inf"), f"the {which} result lacks it")
 
 
-def _of_group(before: Any, after: Any, prefix: str) -> Iterator[_Difference]:
+def _content(file: Any) -> dict[str, Any]:
+    """The variables of a result and of its groups, by "name" and "group/name".
+
+    Links are not followed: they may lead to other files.
+    """
+    import h5py
+
+    def own(place: Any, kind: type) -> dict[str, Any]:
+        hard = [name for name in place if isinstance(place.get(name, getlink=True), h5py.HardLink)]
+        found = {name: place[name] for name in hard}
+        return {name: value for name, value in found.items() if isinstance(value, kind)}
+
+    places = {"": file} | {f"{name}/": group for name, group in own(file, h5py.Group).items()}
+    return {
+        prefix + name: variable
+        for prefix, place in places.items()
+        for name, variable in own(place, h5py.Dataset).items()
+        if not (_text(variable.attrs.get("NAME")) or "").startswith(_NO_VARIABLE)
+    }
+
+
+# What netCDF-4 writes for a dimension that has no variable.
+_NO_VARIABLE = "This is a netCDF dimension but not a netCDF variable"
+
+
+def _compared(name: str, before: Any, after: Any) -> _Difference:
     import numpy as np
 
-    for name in dict.fromkeys([*after.variables, *before.variables]):
-        whole = f"{prefix}{name}"
-        if name not in before.variables or name not in after.variables:
-            which = "old" if name not in before.variables else "new"
-            yield _Difference(whole, float("inf"), f"the {which} result lacks it")
-            continue
-        a, b = before.variables[name], after.variables[name]
-        # Shapes first: what a damaged file claims to hold is not read.
-        numbers = [np.dtype(one.dtype).kind in "fiub" for one in (a, b)]
-        if a.shape != b.shape or numbers[0] != numbers[1]:
-            yield _Difference(whole, float("inf"), "its shapes or types differ")
-        elif all(numbers):
-            scale = 1.0 if name in _OF_UNIT_SIZE else None
-            yield _Difference(whole, largest_difference(a[...], b[...], scale))
-        elif not np.array_equal(a[...], b[...]):
-            yield _Difference(whole, float("inf"), "its texts differ")
+    numbers = [one.dtype.kind in "fiub" for one in (before, after)]
+    # Shapes first: what a damaged file claims to hold is not read.
+    if before.shape != after.shape or numbers[0] != numbers[1]:
+        return _Difference(name, float("inf"), "its shapes or types differ")
+    a, b = before[()], after[()]
+    if all(numbers):
+        scale = 1.0 if name.rpartition("/")[2] in _OF_UNIT_SIZE else None
+        return _Difference(name, largest_difference(a, b, scale))
+    return _Difference(name, 0.0, "" if np.array_equal(a, b) else "its texts differ")
 
 
 def largest_difference(a: Any, b: Any, scale: float | None = None) -> float:

@@ -7,6 +7,7 @@ import numpy as np
 
 import oceaninv as oi
 from fitting.observations.array_checks import as_array
+from oceaninv.foundation.argument_names import names_checked
 from oceaninv.foundation.spectrum import Response
 
 
@@ -33,6 +34,7 @@ class Chart:
     name: str
     distance_sd: float
 
+    @names_checked
     def __init__(
         self,
         values,
@@ -78,6 +80,7 @@ class Background:
     sigma: np.ndarray
     name: str
 
+    @names_checked
     def __init__(self, values, zenith: Any = 90.0, sigma=None, name="background"):
         values = as_array("values", np.atleast_2d(np.asarray(values, dtype=np.float64)), 2)
         zenith = np.broadcast_to(np.asarray(zenith, dtype=np.float64), (len(values),))
@@ -117,6 +120,7 @@ class Pixels:
     sigma: np.ndarray
     masked: int
 
+    @names_checked
     def __init__(self, values, distance, surfaces: Any = 200.0, zenith: Any = 90.0, sigma=None):
         values, distance = as_array("values", values, 2), as_array("distance", distance, 1)
         sigma = 0.03 * np.abs(values) if sigma is None else as_array("sigma", sigma, 2)
@@ -191,6 +195,7 @@ class Photo:
     response_shift: float
     lamp: bool
 
+    @names_checked
     def __init__(
         self,
         charts=(),

@@ -16,6 +16,7 @@ from fitting.profile.kd.batching import fit_windows
 from fitting.profile.kd.cast import Cast, cast_of
 from fitting.profile.kd.reflectances import cast_quantities
 from fitting.profile.kd.result import check_light_falls, kd_fit, light_depths
+from oceaninv.foundation.argument_names import names_checked
 from oceaninv.foundation.double_precision import in_double_precision
 from oceaninv.foundation.provenance import without_folders
 from oceaninv.transport.base import AbstractTransport
@@ -211,6 +212,7 @@ class _Table:
         return found
 
 
+@names_checked
 @in_double_precision
 def fit_profiles(
     profiles: Sequence[Profile],
