@@ -292,13 +292,14 @@ def worst(said):
 @pytest.mark.slow
 def test_ten_casts_ten_archives_and_ten_photographs_are_repeated(tmp_path, capsys):
     rng, found = np.random.default_rng(0), []
-    lines = CAST.splitlines()
+    depth = np.linspace(0.5, 20.0, 40)
     for i in range(10):
-        noisy = [lines[0], *(f"{line}{rng.integers(10)}" for line in lines[1:])]
-        (tmp_path / f"cast{i}.csv").write_text("\n".join(noisy) + "\n")
-        rows = PHOTO.splitlines()
-        rows = [f"{row}" if row.startswith("#") else row for row in rows]
-        (tmp_path / f"photo{i}.csv").write_text("\n".join([f"# dive: {i}", *rows]) + "\n")
+        noise = 1 + 0.02 * rng.standard_normal((40, 2))
+        light = np.exp(-np.outer(depth, [0.05 + 0.01 * i, 0.1])) * noise
+        rows = [f"{z:.6g},{a:.8g},{b:.8g}" for z, (a, b) in zip(depth, light, strict=True)]
+        head = "# units: depth=m, Ed_*=W m-2 nm-1\ndepth,Ed_490,Ed_555\n"
+        (tmp_path / f"cast{i}.csv").write_text(head + "\n".join(rows) + "\n")
+        (tmp_path / f"photo{i}.csv").write_text(PHOTO.replace("0.5,2,90", f"0.5,{2 + i},90"))
     options = [[], ["--kd-only"], ["--layers", "2", "--kd-only"], ["--from", "1"], ["--smooth"]]
     with jax.enable_x64(True):
         for i in range(10):
