@@ -152,7 +152,8 @@ class cached_jit:
         shapes = [(leaf.shape, str(leaf.dtype), leaf.weak_type) for leaf in leaves]
         settings: Any = jax.config
         name, x64 = self.function.__qualname__, bool(settings.jax_enable_x64)
-        described = _described((static, shapes, name, x64))
+        precision = str(settings.jax_default_matmul_precision)
+        described = _described((static, shapes, name, x64, precision))
         if described is None:
             return None
         key = hashlib.sha256(_environment_fingerprint() + described).hexdigest()
