@@ -221,8 +221,8 @@ def _take_inputs(repeat: Any, record: _Record, folders: list[Path], result: Path
             )
         place, digest = next(iter(seen.items()))
         raise ValueError(
-            f"the input {place} has changed: its SHA-256 is {digest}, that of the fit's was "
-            f"{wanted[0]}."
+            f"the input {place} has changed: its SHA-256 is {digest}, that of the file that was "
+            f"fitted is {wanted[0]}."
         )
 
     values = repeat.params
