@@ -151,6 +151,7 @@ def command_line() -> str:
 
     command = get_command(app)
     lines = ["# Command line", "", "The text below is what `oceaninv COMMAND --help` says.", ""]
+    lines += [f"{app.info.epilog}", ""]
     context = typer.Context(command, info_name="oceaninv")
     for name in command.list_commands(context):
         one = command.get_command(context, name)

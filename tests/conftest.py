@@ -11,6 +11,9 @@ if jaxlib.__version__.startswith("0.10."):
     quick = " --xla_cpu_use_fusion_emitters=false --xla_backend_optimization_level=0"
     os.environ["XLA_FLAGS"] = os.environ.get("XLA_FLAGS", "") + quick
 
+# Programs that earlier runs stored would not be traced, and so not be checked.
+os.environ["JAX_ENABLE_COMPILATION_CACHE"] = "false"
+
 import jax
 import pytest
 from jaxtyping import install_import_hook

@@ -15,6 +15,8 @@ from fitting.core.least_squares import check_solver, covariance, least_squares
 from fitting.core.parameters import Parameter, Parameters, Prior
 from fitting.core.result import Fit, Predictive, derived_quantity
 from fitting.observations.bulk import Bulk
+from oceaninv.foundation.argument_names import names_checked
+from oceaninv.foundation.double_precision import in_double_precision
 from oceaninv.mie.particles import Population
 
 _NAMES = {
@@ -86,6 +88,8 @@ def _solve(medium, layout: Parameters, prior: Prior, grid, readings: _Readings, 
     return jax.tree.map(lambda leaf: leaf[-1], rounds)
 
 
+@names_checked
+@in_double_precision
 def fit_bulk(
     bulk: Bulk,
     medium: AbstractMedium | Mapping[str, Population] | Sequence[Population],

@@ -3,8 +3,9 @@
 import dataclasses
 import itertools
 import re
+from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -160,19 +161,8 @@ def fit_profile_command(
     Eu, Lu and PAR are fitted where a file has them.  Of many files, or a file of many casts, -o
     names the folder of results.
     """
-    from fitting.files.cast_file import Reading
-
-    units: dict[str, str] = {}
-    if unit is not None:
-        units = dict.fromkeys(("Ed", "Eu", "Lu", "surface"), unit)
-    reading = Reading(
-        solar_zenith, units, _columns(columns), depth_offset, upward_offset, tilt_limit
-    )
-    depth_range = None
-    if low is not None or high is not None:
-        depth_range = (low or 0.0, 1e5 if high is None else high)
-    count, priors = _layers(layers), _priors(know or [])
-    wanted = _Wanted(depth_range, count, kd_only, transport, tolerance, priors, smooth, sample)
+    reading = _reading(solar_zenith, unit, columns, depth_offset, upward_offset, tilt_limit)
+    wanted = _wanted(low, high, layers, kd_only, transport, tolerance, know, smooth, sample)
     profile = _one_profile(paths, reading, merge, cluster)
     if profile is None:
         _fit_many(paths, _archive_task(wanted, reading, output, table, overwrite, paths), cluster)
@@ -182,6 +172,46 @@ def fit_profile_command(
     check_outputs(files, paths, overwrite)
     record_inputs(paths)
     _fit_one(profile, wanted, files, overwrite)
+
+
+def fit_archive_again(options: Mapping[str, Any], arguments: tuple[str, ...]) -> None:
+    """Fit files of an archive as `fit_profile_command` with these `options` by their names does,
+    and let each result name `arguments`; also of one file, which that would not take for an
+    archive."""
+    reading = _reading(
+        *(options[name] for name in (
+            "solar_zenith", "unit", "columns", "depth_offset", "upward_offset", "tilt_limit"
+        ))
+    )  # fmt: skip
+    wanted = _wanted(
+        *(options[name] for name in (
+            "low", "high", "layers", "kd_only", "transport", "tolerance", "know", "smooth", "sample"
+        ))
+    )  # fmt: skip
+    paths = list(options["paths"])
+    task = _archive_task(
+        wanted, reading, options["output"], options["table"], options["overwrite"], paths
+    )
+    _fit_many(paths, dataclasses.replace(task, arguments=arguments), None)
+
+
+def _reading(solar_zenith, unit, columns, depth_offset, upward_offset, tilt_limit) -> "Reading":
+    """How to read the files, from options of these names."""
+    from fitting.files.cast_file import Reading
+
+    units: dict[str, str] = {}
+    if unit is not None:
+        units = dict.fromkeys(("Ed", "Eu", "Lu", "surface"), unit)
+    return Reading(solar_zenith, units, _columns(columns), depth_offset, upward_offset, tilt_limit)
+
+
+def _wanted(low, high, layers, kd_only, transport, tolerance, know, smooth, sample) -> "_Wanted":
+    """What to fit, from options of these names."""
+    depth_range = None
+    if low is not None or high is not None:
+        depth_range = (low or 0.0, 1e5 if high is None else high)
+    count, priors = _layers(layers), _priors(know or [])
+    return _Wanted(depth_range, count, kd_only, transport, tolerance, priors, smooth, sample)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -434,6 +464,7 @@ def _print_kd(fit: "Fit") -> None:
         print(f"the cast went down or up {ways} times: each way was fitted, then combined")
     for reason, number in fit.metadata["left_out"].items():
         print(f"{reason}: {number}")
+    print(f"self-shading, immersion: {fit.metadata['self_shading_and_immersion']}")
     print(f"search: {fit.result}")
 
 

@@ -3,7 +3,6 @@
 import os
 import sys
 import warnings
-from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -16,6 +15,7 @@ from fitting.commands import (
     plan_and_trade,
     read_charts,
     render,
+    rerun,
     template,
 )
 from oceaninv.foundation.provenance import Provenance, recording, version
@@ -39,6 +39,7 @@ for _command, _example in (
         read_charts.read_charts_command,
         'read-charts dive.dng --chart "A ColorChecker24 2.5 find" -o dive',
     ),
+    (rerun.rerun_command, "rerun cast_fit.nc -o cast_again.nc"),
     (check.check_command, "check dive.dng dive.csv"),
     (render.render_command, "render scene.toml --width 640 -o scene.png"),
     (plan_and_trade.plan_command, "plan scene.toml --tolerance 0.03"),
@@ -71,18 +72,16 @@ def _commands(
 def quick_compilation(drawing: bool = False) -> None:
     """Halve compile times on a CPU; must come before JAX starts its backend.
 
-    A fit runs once for a tenth of a second, so its program is not worth optimising: level 0 halves
-    the compile time, and so does the older of jaxlib 0.10's two code generators (measured).  A
-    picture is worth it (`drawing`); there the older generator is eight times faster, too.  Other
-    versions are left alone: an unknown flag would end the process.
+    The flags are those of stored programs (`fitting.core.program_cache.QUICK`).  A picture is worth
+    optimising (`drawing`); there the older generator of code is eight times faster, too.
     """
-    from importlib.metadata import version
+    from fitting.core.program_cache import QUICK, knows_quick_options
 
-    if version("jaxlib").startswith("0.10."):
-        quick = "--xla_cpu_use_fusion_emitters=false"
-        if not drawing:
-            quick += " --xla_backend_optimization_level=0"
-        os.environ["XLA_FLAGS"] = f"{os.environ.get('XLA_FLAGS', '')} {quick}".strip()
+    if knows_quick_options():
+        flags = [f"--{name}={str(value).lower()}" for name, value in QUICK.items()]
+        if drawing:
+            flags = [flag for flag in flags if "optimization_level" not in flag]
+        os.environ["XLA_FLAGS"] = " ".join([os.environ.get("XLA_FLAGS", ""), *flags]).strip()
 
 
 def _set_up(drawing: bool = False, fitting: bool = False) -> None:
@@ -93,9 +92,10 @@ def _set_up(drawing: bool = False, fitting: bool = False) -> None:
     quick_compilation(drawing)
     import jax
 
+    from fitting.core.program_cache import program_folder
+
     jax.config.update("jax_enable_x64", True)
-    root = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
-    jax.config.update("jax_compilation_cache_dir", str(root / "oceaninv" / "programs"))
+    jax.config.update("jax_compilation_cache_dir", str(program_folder()))
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.1)
     jax.config.update("jax_enable_compilation_cache", not fitting)
 
@@ -128,11 +128,14 @@ def main() -> None:
     """The console script."""
     # `trade` times its programs: they are optimised as those of a picture are.
     command = "".join(sys.argv[1:2])
-    _set_up(command in ("render", "trade"), fitting=command.startswith("fit-"))
+    _set_up(
+        command in ("render", "trade"), fitting=command.startswith("fit-") or command == "rerun"
+    )
     if command == "trade":  # a program that was stored would not count as compiled
         import jax
 
         jax.config.update("jax_compilation_cache_dir", None)
+        jax.config.update("jax_enable_compilation_cache", False)
     sys.exit(run(sys.argv[1:]))
 
 

@@ -3,9 +3,9 @@
 import contextlib
 import math
 import re
-from collections.abc import Collection, Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -253,11 +253,24 @@ def print_water(fit: "Fit") -> None:
             f"tabulated from {low:g} to {high:g} nm"
         )
     if "nearest_jerlov_type" in fit.metadata:
-        difference = 100 * fit.metadata["nearest_jerlov_rms_ln_kd"]
-        print(
-            f"nearest Jerlov type: {fit.metadata['nearest_jerlov_type']} ({difference:.0f} % off)"
-        )
+        print(jerlov_text(fit.metadata, fit.quantities["Kd"].sd))
     print(f"search: {fit.result}")
+
+
+def jerlov_text(metadata: Mapping[str, Any], sd_kd: "np.ndarray") -> str:
+    """The nearest Jerlov type: how far it is, and how far the fit itself may be off, both as the
+    root mean square of ln Kd over the bands.
+
+    >>> import numpy as np
+    >>> found = {"nearest_jerlov_type": "IB", "nearest_jerlov_rms_ln_kd": 0.14}
+    >>> jerlov_text(found, np.array([0.3, 0.4]))
+    'nearest Jerlov type: IB (14 % off; Kd itself is known to 35 %)'
+    """
+    off, own = metadata["nearest_jerlov_rms_ln_kd"], math.sqrt(float((sd_kd**2).mean()))
+    return (
+        f"nearest Jerlov type: {metadata['nearest_jerlov_type']} ({100 * off:.0f} % off; Kd itself "
+        f"is known to {100 * own:.0f} %)"
+    )
 
 
 def with_endings(stem: Path, *endings: str) -> list[Path]:

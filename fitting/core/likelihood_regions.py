@@ -13,6 +13,7 @@ from fitting.core.parameters import Log, Parameters
 from fitting.core.problem import AbstractProblem
 from fitting.core.program_cache import cached_jit
 from fitting.core.result import Fit
+from oceaninv.foundation.double_precision import in_double_precision
 
 # Weights that hold numbers at their values, in units of one over their standard deviations, in
 # successive searches.  With the last, the sum of squares is short of the exact one by a part in
@@ -72,6 +73,7 @@ class LikelihoodRegion:
     scale: np.ndarray = dataclasses.field(repr=False)
     least: float
 
+    @in_double_precision
     def loss(self, values: Mapping[str, float]) -> float:
         """Twice the log posterior lost by holding some or all of the numbers at these values.
 
@@ -186,6 +188,7 @@ def _positive(parameters: Parameters) -> dict[str, int]:
     return {p.name: i for i, p in enumerate(parameters) if isinstance(p.transform, Log)}
 
 
+@in_double_precision
 def joint_region(
     fit: Fit, names: tuple[str, ...], level: float = 0.95
 ) -> Region | LikelihoodRegion:

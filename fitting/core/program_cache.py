@@ -3,6 +3,7 @@
 import contextlib
 import hashlib
 import hmac
+import io
 import os
 import pickle
 import platform
@@ -24,18 +25,50 @@ from jax.experimental import serialize_executable
 import oceaninv
 from oceaninv.foundation.atomic_write import atomic_write
 
+# Packages whose code the key of a program covers, and what their objects are made of.
+_COVERED = {"oceaninv", "fitting", "jax", "jaxlib", "equinox", "optimistix", "lineax", "numpy",
+            "builtins", "collections", "copyreg", "functools"}  # fmt: skip
 # Bytes of a key and of a signature.
 _DIGEST = 32
 
 
+def program_folder() -> Path:
+    """The folder of this user in which commands and Python keep their programs."""
+    root = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+    return root / "oceaninv" / "programs"
+
+
 def _folder() -> str | None:
-    """Where programs are stored: JAX's cache folder, unless JAX itself caches there.
+    """Where programs are stored: JAX's cache folder, unless JAX itself caches there;
+    `program_folder` where JAX has none.  None where JAX is set to cache nothing.
 
     On a CPU a program that came out of JAX's own cache cannot be stored a second time: it would
     miss some of its functions (jaxlib 0.10).
     """
     own = jax.config.values["jax_enable_compilation_cache"]
-    return None if own else jax.config.values["jax_compilation_cache_dir"]
+    folder = jax.config.values["jax_compilation_cache_dir"]
+    if own and folder is None:
+        return str(program_folder())
+    return None if own else folder
+
+
+# A fit runs once for a tenth of a second, so its program is not worth optimising: level 0 halves
+# the compile time, and so does the older of jaxlib 0.10's two code generators (measured).
+QUICK: dict[str, str | bool] = {
+    "xla_cpu_use_fusion_emitters": False,
+    "xla_backend_optimization_level": "0",
+}
+
+
+def knows_quick_options() -> bool:
+    """Whether `QUICK` are options of this compiler: an unknown one would be an error."""
+    return version("jaxlib").startswith("0.10.")
+
+
+def _options() -> dict[str, str | bool]:
+    """Of the compiler, equal in commands and in Python, so that both share programs."""
+    quick = knows_quick_options() and jax.default_backend() == "cpu"
+    return QUICK if quick else {}
 
 
 @cache
@@ -47,8 +80,9 @@ def _environment_fingerprint() -> bytes:
             digest.update(path.name.encode() + path.read_bytes())
     for package in ("jax", "jaxlib", "equinox", "optimistix", "lineax"):
         digest.update(version(package).encode())
-    digest.update(os.environ.get("XLA_FLAGS", "").encode())
-    digest.update(str(jax.config.values["jax_enable_x64"]).encode())
+    flags = os.environ.get("XLA_FLAGS", "").split()
+    given = [flag for flag in flags if flag.split("=")[0].removeprefix("--") not in _options()]
+    digest.update(" ".join([*given, str(_options())]).encode())
     device = jax.devices()[0]
     digest.update(f"{device.device_kind} {device.client.platform_version}".encode())
     digest.update(_processor())
@@ -78,10 +112,12 @@ class cached_jit:
     """`eqx.filter_jit(function)` that a later process need neither trace nor compile again.
 
     Where JAX has a folder for its compilation cache but does not use it, the program is stored
-    there (JAX's own cache saves the compilation only, about half of the wait).  The cache key
-    hashes this project's source, its dependencies' versions, the machine and the static
-    arguments, so that an outdated program is never loaded.  Without such a folder, under a
-    transformation, or with arrays on several devices, this is `eqx.filter_jit`.
+    there (JAX's own cache saves the compilation only, about half of the wait), and in
+    `program_folder` where JAX has no folder.  The cache key hashes this project's source, its
+    dependencies' versions, the machine, the precision and the static arguments, so that an outdated
+    program is never loaded.  Where JAX caches for itself or is set to cache nothing
+    (JAX_ENABLE_COMPILATION_CACHE=false), under a transformation, or with arrays on several devices,
+    this is `eqx.filter_jit`.
     """
 
     def __init__(self, function: Callable):
@@ -91,9 +127,10 @@ class cached_jit:
 
     def __call__(self, *args):
         leaves = _leaves(args)
-        if leaves is None:
+        found = None if leaves is None else self._program(args, leaves)
+        if leaves is None or found is None:
             return self.jitted(*args)
-        program, make = self._program(args, leaves)
+        program, make = found
         make()
         return program.result()(leaves)
 
@@ -103,19 +140,23 @@ class cached_jit:
         JAX traces one program at a time but compiles on another core.
         """
         leaves = _leaves(args)
-        if leaves is not None:
-            threading.Thread(target=self._program(args, leaves)[1]).start()
+        found = None if leaves is None else self._program(args, leaves)
+        if found is not None:
+            threading.Thread(target=found[1]).start()
 
-    def _program(self, args, leaves) -> tuple[Future[_Program], Callable[[], None]]:
+    def _program(self, args, leaves) -> tuple[Future[_Program], Callable[[], None]] | None:
         """A future of the program, and the function that fulfils it: one that does nothing where
-        another thread is at work on the same program."""
+        another thread is at work on the same program.  None where it must not be stored."""
         arrays, static = eqx.partition(args, eqx.is_array)
         tree = jax.tree.structure(arrays)
         shapes = [(leaf.shape, str(leaf.dtype), leaf.weak_type) for leaf in leaves]
-        name = self.function.__qualname__
-        key = hashlib.sha256(
-            _environment_fingerprint() + pickle.dumps((static, shapes, name))
-        ).hexdigest()
+        settings: Any = jax.config
+        name, x64 = self.function.__qualname__, bool(settings.jax_enable_x64)
+        precision = str(settings.jax_default_matmul_precision)
+        described = _described((static, shapes, name, x64, precision))
+        if described is None:
+            return None
+        key = hashlib.sha256(_environment_fingerprint() + described).hexdigest()
         if key in self.programs:
             return self.programs[key], lambda: None
         future = self.programs[key] = Future()
@@ -123,13 +164,35 @@ class cached_jit:
         def make():
             path = Path(str(_folder())) / f"{self.function.__name__.strip('_')}-{key}.program"
             try:
-                found = _load(path) or _compile(path, self.function, static, leaves, tree)
+                with jax.enable_x64(x64):  # of the caller, not of the thread that compiles
+                    found = _load(path) or _compile(path, self.function, static, leaves, tree)
                 future.set_result(found)
             except BaseException as error:
                 del self.programs[key]
                 future.set_exception(error)
 
         return future, make
+
+
+class _CoveredPickler(pickle.Pickler):
+    """Refuses what is defined in code that the key of a program does not cover."""
+
+    def reducer_override(self, value):
+        kind = value if hasattr(value, "__qualname__") else type(value)
+        if str(kind.__module__).partition(".")[0] not in _COVERED:
+            raise pickle.PicklingError(f"{kind} may change without notice.")
+        return NotImplemented
+
+
+def _described(value) -> bytes | None:
+    """`value` as bytes; None where it holds code of others, such as a transport of their own: the
+    next process may have changed it."""
+    written = io.BytesIO()
+    try:
+        _CoveredPickler(written).dump(value)
+    except (pickle.PicklingError, AttributeError, TypeError):
+        return None
+    return written.getvalue()
 
 
 def _leaves(args) -> list | None:
@@ -211,7 +274,7 @@ def _compile(path: Path, function, static, leaves, tree) -> _Program:
         outputs.append(structure)
         return tuple(arrays)
 
-    compiled = jax.jit(flat).lower(*leaves).compile()
+    compiled = jax.jit(flat).lower(*leaves).compile(compiler_options=_options())
     skeleton = jax.tree.unflatten(outputs[0], range(outputs[0].num_leaves))
     with contextlib.suppress(ValueError):  # a backend without serialisation
         _write(path, pickle.dumps((serialize_executable.serialize(compiled), skeleton)))

@@ -514,6 +514,34 @@ def _of_bands(fit: Fit) -> dict:
     return found
 
 
+STATION = {
+    "latitude": {"units": "degrees_north", "standard_name": "latitude"},
+    "longitude": {"units": "degrees_east", "standard_name": "longitude"},
+    "time": {"units": "days since 1950-01-01T00:00:00Z", "standard_name": "time"},
+    "platform": {"long_name": "number of the float"},
+    "cycle": {"units": "1", "long_name": "number of the float's cycle"},
+}
+
+
+def days_since_1950(time: str) -> float:
+    """Days from 1950-01-01T00:00:00Z to a date and time in ISO 8601."""
+    since = np.datetime64(time.removesuffix("Z"), "s") - np.datetime64("1950-01-01", "s")
+    return float(since / np.timedelta64(1, "D"))
+
+
+def _of_profile(fit: Fit) -> dict:
+    """Variables without dimensions that say which profile this is, when and where it was taken."""
+    station = fit.metadata.get("station", {})
+    name = "_".join(str(station[part]) for part in ("platform", "cycle") if part in station)
+    name = name or without_folders(str(fit.metadata.get("source", "")))
+    found: dict = {"profile": ((), np.array(name, dtype=str), {"cf_role": "profile_id"})}
+    for part in ("latitude", "longitude", "time"):
+        if part in station:
+            value = days_since_1950(station[part]) if part == "time" else float(station[part])
+            found[part] = ((), np.array(value), STATION[part])
+    return found
+
+
 def dataset(fit: Fit) -> "xarray.Dataset":
     """Parameters, quantities and observations of a fit with CF attributes.
 
@@ -545,7 +573,7 @@ def dataset_content(fit: Fit) -> tuple[dict, dict, dict]:
                 "flag_meanings": "prior_dominated fixed_by_data",
             },
         ),
-        "parameter_unit": ("parameter", column("unit", str)),
+        "parameter_unit": ("parameter", column("unit", str), {"long_name": "unit"}),
         "correlation": (
             ("parameter", "other"),
             fit.correlation,
@@ -565,6 +593,7 @@ def dataset_content(fit: Fit) -> tuple[dict, dict, dict]:
             data[f"{name}_{suffix}"] = (dims, value, {"units": quantity.unit, "long_name": text})
     data |= _of_bands(fit)
     predictive = fit.posterior_predictive
+    profile = _of_profile(fit) if "depth" in predictive.axes else {}
     label = "Ed" if "depth" in predictive.axes else "reading"
     for suffix, value in (
         ("observed", predictive.observed),
@@ -593,14 +622,18 @@ def dataset_content(fit: Fit) -> tuple[dict, dict, dict]:
         coords["channel"] = np.array(["R", "G", "B"], dtype=str)
     if "coefficient" in predictive.axes:
         coords["coefficient"] = predictive.coords["coefficient"]
-    profile = {"featureType": "profile"} if "depth" in predictive.axes else {}
+    place = " ".join(name for name in ("time", "latitude", "longitude") if name in profile)
+    if place:
+        for dims, _, *notes in data.values():
+            if notes and "wavelength" in dims:
+                notes[0]["coordinates"] = place
     attributes = {
         "Conventions": "CF-1.11",
-        **profile,
+        **({"featureType": "profile"} if profile else {}),
         **fit.metadata.get("station", {}),
         "title": "Fit of underwater light by oceaninv",
         "source": without_folders(str(fit.metadata.get("source", ""))),
         "result": fit.result,
         "metadata": fit.metadata_json(),
     }
-    return data, coords, attributes
+    return data | profile, coords, attributes

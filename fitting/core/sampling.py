@@ -13,6 +13,7 @@ from fitting.core.diagnostics import SamplerDiagnostics, Status
 from fitting.core.problem import AbstractProblem
 from fitting.core.program_cache import cached_jit
 from fitting.core.result import Fit, Quantity
+from oceaninv.foundation.double_precision import in_double_precision
 
 # Acceptance that the step is tuned to.
 _TARGET = 0.8
@@ -40,6 +41,7 @@ class NUTS(eqx.Module):
     doublings: int = eqx.field(static=True, default=6)
 
 
+@in_double_precision
 def sample(
     fit: Fit,
     *,

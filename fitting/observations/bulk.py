@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from fitting.observations.array_checks import as_array
+from oceaninv.foundation.argument_names import names_checked
 from oceaninv.foundation.tables import check_wavelength
 
 _COEFFICIENTS = ("a", "b", "c")
@@ -39,6 +40,7 @@ class Bulk:
     mask: Bool[np.ndarray, "coefficient wl"]
     source: str
 
+    @names_checked
     def __init__(
         self, wavelength, a=None, b=None, c=None, sigma=None, floor: Any = 0.0, source="memory"
     ):

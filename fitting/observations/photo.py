@@ -8,6 +8,7 @@ import numpy as np
 
 import oceaninv as oi
 from fitting.observations.array_checks import as_array
+from oceaninv.foundation.argument_names import names_checked
 from oceaninv.foundation.spectrum import Response
 
 
@@ -101,6 +102,7 @@ class Chart:
     board: Board | None
     place: np.ndarray | None
 
+    @names_checked
     def __init__(
         self,
         values,
@@ -176,6 +178,7 @@ class Background:
     sigma: np.ndarray
     name: str
 
+    @names_checked
     def __init__(self, values, zenith: Any = 90.0, sigma=None, name="background"):
         values = as_array("values", np.atleast_2d(np.asarray(values, dtype=np.float64)), 2)
         zenith = np.broadcast_to(np.asarray(zenith, dtype=np.float64), (len(values),))
@@ -215,6 +218,7 @@ class Pixels:
     sigma: np.ndarray
     masked: int
 
+    @names_checked
     def __init__(self, values, distance, surfaces: Any = 200.0, zenith: Any = 90.0, sigma=None):
         values, distance = as_array("values", values, 2), as_array("distance", distance, 1)
         sigma = 0.03 * np.abs(values) if sigma is None else as_array("sigma", sigma, 2)
@@ -289,6 +293,7 @@ class Photo:
     response_shift: float
     lamp: bool
 
+    @names_checked
     def __init__(
         self,
         charts=(),

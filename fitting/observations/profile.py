@@ -19,6 +19,7 @@ from fitting.observations.profile_sensor import (
     smooth_reference,
     thinned,
 )
+from oceaninv.foundation.argument_names import names_checked
 from oceaninv.foundation.tables import check_wavelength
 
 
@@ -91,6 +92,7 @@ class Profile:
     segment: Int[np.ndarray, " depth"]
     shade: Bool[np.ndarray, " depth"]
 
+    @names_checked
     def __init__(
         self,
         depth,

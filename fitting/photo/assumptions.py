@@ -13,6 +13,7 @@ from fitting.core.problem import AbstractProblem
 from fitting.core.program_cache import cached_jit
 from fitting.core.result import Fit
 from fitting.water_model.alternatives import ALTERNATIVES, PREFIX
+from oceaninv.foundation.double_precision import in_double_precision
 
 
 def open_to(parameters: Parameters, names=tuple(ALTERNATIVES)) -> Parameters:
@@ -49,6 +50,7 @@ def _refitted(problem: AbstractProblem, x, scale):
     return jax.lax.map(one, shares)
 
 
+@in_double_precision
 def assumptions(fit: Fit) -> dict[str, dict[str, float]]:
     """The change of each answer if the fit assumed something else.
 

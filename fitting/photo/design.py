@@ -19,6 +19,7 @@ from fitting.observations.photo import Photo
 from fitting.photo.fit_photo import Known, posterior_of
 from fitting.photo.problem import PhotoProblem, predict_all
 from fitting.photo.result import photo_result
+from oceaninv.foundation.double_precision import in_double_precision
 from oceaninv.transport.base import AbstractTransport
 
 
@@ -35,6 +36,7 @@ def _at(problem: PhotoProblem, x):
     )
 
 
+@in_double_precision
 def design(
     photos: Photo | Sequence[Photo],
     water: Mapping[str, float],

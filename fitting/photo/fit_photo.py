@@ -30,6 +30,8 @@ from fitting.photo.result import photo_result
 from fitting.water_model.quantities import UNITS
 from fitting.water_model.scene_of_fit import scene_at
 from oceaninv.fidelity.planning import model_label
+from oceaninv.foundation.argument_names import names_checked
+from oceaninv.foundation.double_precision import in_double_precision
 from oceaninv.transport.base import AbstractTransport
 
 # Ancillary values: (value, standard deviation) by the name of a parameter or scalar quantity.
@@ -156,6 +158,8 @@ def posterior_of(photos, transport, priors, matrix, sunlight, know, robust):
     return parameters, problem
 
 
+@names_checked
+@in_double_precision
 def fit_photo(
     photos: Photo | Sequence[Photo],
     *,
@@ -276,6 +280,8 @@ def _starts(parameters, problem: PhotoProblem, count: int) -> Float[Array, "star
     return jnp.asarray(begin)
 
 
+@names_checked
+@in_double_precision
 def fit_photos(
     photos: Sequence[Photo],
     *,

@@ -14,6 +14,7 @@ import oceaninv as oi
 from fitting.core.least_squares import Optimum, least_squares
 from fitting.core.parameters import Identity, Log, Parameter, Parameters, Prior
 from fitting.core.problem import AbstractProblem
+from fitting.core.program_cache import cached_jit
 from fitting.observations.photo import WAVELENGTH, Photo
 from fitting.photo.forward_model import (
     ALBEDO_TERMS,
@@ -218,7 +219,7 @@ def _of_frame(p: int, photo: Photo) -> list[Parameter]:
     return found
 
 
-@eqx.filter_jit
+@cached_jit
 def predict_all(layout, readings, transport, sunlight, x):
     """Readings of every photograph, and the means of its pixel classes (or None)."""
     values = layout.values(x)

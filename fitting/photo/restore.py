@@ -5,15 +5,16 @@ import functools
 from pathlib import Path
 from typing import Any
 
-import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from fitting.core.program_cache import cached_jit
 from fitting.core.result import Fit
 from fitting.images.photograph_file import Photograph
 from fitting.photo._band_derivatives import open_radiance
 from fitting.photo.forward_model import light_up
+from oceaninv.foundation.double_precision import in_double_precision
 from oceaninv.foundation.figure_file import save_figure
 
 _RANGES = 48
@@ -90,6 +91,7 @@ def restored_paths(stem: Path) -> list[Path]:
     return [stem.with_name(stem.name + end) for end in ends]
 
 
+@in_double_precision
 def restore(
     fit: Fit,
     photograph: Photograph,
@@ -171,7 +173,7 @@ def restore(
     return Restored(reflectance, residual, noise, share)
 
 
-@eqx.filter_jit
+@cached_jit
 def _along(problem, x, ranges, photo: int, zenith):
     """(range, channel) path radiance and light of a white surface, and the output matrix."""
     values = problem.layout.values(x)

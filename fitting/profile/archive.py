@@ -5,8 +5,6 @@ from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
-import jax
-
 from fitting.core.parameters import Parameter
 from fitting.files import netcdf_writer
 from fitting.files.cast_file import Reading, profile_of, raw_casts
@@ -78,18 +76,17 @@ def _read(path: Path, reading: Reading) -> tuple[list[Profile], list[str]]:
     return profiles, problems
 
 
-def fit_group(paths: Sequence[Path], task: Task, x64: bool) -> list[Outcome]:
-    """Read, fit and write some files; `x64`: precision, whichever process runs this."""
-    with jax.enable_x64(x64):
-        read = [_read(path, task.reading) for path in paths]
-        together = [profile for profiles, _ in read for profile in profiles]
-        fits = fit_profiles(
-            together,
-            depth_range=task.depth_range,
-            layers=task.layers,
-            transport=task.transport,
-            priors=task.priors,
-        )
+def fit_group(paths: Sequence[Path], task: Task) -> list[Outcome]:
+    """Read, fit and write some files."""
+    read = [_read(path, task.reading) for path in paths]
+    together = [profile for profiles, _ in read for profile in profiles]
+    fits = fit_profiles(
+        together,
+        depth_range=task.depth_range,
+        layers=task.layers,
+        transport=task.transport,
+        priors=task.priors,
+    )
     outcomes, at = [], 0
     for path, (profiles, problems) in zip(paths, read, strict=True):
         own = fits.part(range(at, at + len(profiles)))
@@ -152,16 +149,15 @@ def fit_archive(
             todo.append(path)
     _check_results(files, todo, task)
     groups = [todo[i : i + group] for i in range(0, len(todo), group)]
-    x64 = bool(jax.config.values["jax_enable_x64"])
     if cluster is None:
         for paths in groups:
-            yield from fit_group(paths, task, x64)
+            yield from fit_group(paths, task)
         return
     try:
         from dask.distributed import Client, as_completed
     except ImportError:
         raise ValueError("a cluster needs dask; install oceaninv[cluster].") from None
     with Client(cluster, timeout="30s") as client:
-        futures = [client.submit(fit_group, paths, task, x64, pure=False) for paths in groups]
+        futures = [client.submit(fit_group, paths, task, pure=False) for paths in groups]
         for future in as_completed(futures):
             yield from future.result()

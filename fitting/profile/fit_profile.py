@@ -45,9 +45,13 @@ from fitting.water_model.quantities import UNITS, quantities_of
 from fitting.water_model.scene_of_fit import scene_at
 from fitting.water_model.unknowns import modelled_bands, water_unknowns
 from oceaninv.fidelity.planning import model_label
+from oceaninv.foundation.argument_names import names_checked
+from oceaninv.foundation.double_precision import in_double_precision
 from oceaninv.transport.base import AbstractTransport
 
 
+@names_checked
+@in_double_precision
 def fit_profile(
     profile: Profile,
     *,

@@ -8,7 +8,7 @@ import numpy as np
 
 from fitting.core.diagnostics import Status
 from fitting.core.parameters import Parameter
-from fitting.core.result import STANDARD_NAMES, Fit, Quantity
+from fitting.core.result import STANDARD_NAMES, STATION, Fit, Quantity, days_since_1950
 from fitting.observations.profile import Profile
 from fitting.profile.constituents.fit_waters import WaterFit, fit_waters, water_fit
 from fitting.profile.kd.band_fit import BandFit
@@ -16,6 +16,8 @@ from fitting.profile.kd.batching import fit_windows
 from fitting.profile.kd.cast import Cast, cast_of
 from fitting.profile.kd.reflectances import cast_quantities
 from fitting.profile.kd.result import check_light_falls, kd_fit, light_depths
+from oceaninv.foundation.argument_names import names_checked
+from oceaninv.foundation.double_precision import in_double_precision
 from oceaninv.foundation.provenance import without_folders
 from oceaninv.transport.base import AbstractTransport
 
@@ -24,21 +26,6 @@ if TYPE_CHECKING:
 
 # How the search of a band can have ended.
 _ENDED = (Status.CONVERGED, Status.STEP_LIMIT, Status.MODEL_NOT_FINITE)
-
-
-_STATION = {
-    "latitude": {"units": "degrees_north", "standard_name": "latitude"},
-    "longitude": {"units": "degrees_east", "standard_name": "longitude"},
-    "time": {"units": "days since 1950-01-01T00:00:00Z", "standard_name": "time"},
-    "platform": {"long_name": "number of the float"},
-    "cycle": {"units": "1", "long_name": "number of the float's cycle"},
-}
-
-
-def _days(time: str) -> float:
-    """Days since 1950 of a date and time in ISO 8601."""
-    since = np.datetime64(time.removesuffix("Z"), "s") - np.datetime64("1950-01-01", "s")
-    return float(since / np.timedelta64(1, "D"))
 
 
 class ProfileFits:
@@ -165,12 +152,12 @@ class ProfileFits:
             for i in range(len(self))
         ]
         found = {}
-        for name, notes in _STATION.items():
+        for name, notes in STATION.items():
             values = [station.get(name) for station in stations]
             if all(value is None for value in values):
                 continue
             if name == "time":
-                days = [_days(str(value)) if value else np.nan for value in values]
+                days = [days_since_1950(str(value)) if value else np.nan for value in values]
                 found[name] = ("cast", np.array(days), notes)
             elif name == "platform":
                 found[name] = ("cast", np.array([str(v or "") for v in values], dtype=str), notes)
@@ -225,6 +212,8 @@ class _Table:
         return found
 
 
+@names_checked
+@in_double_precision
 def fit_profiles(
     profiles: Sequence[Profile],
     *,

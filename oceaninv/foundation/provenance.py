@@ -1,10 +1,12 @@
-"""What made a file: version, command line, and input files with their checksums."""
+"""What made a file and when: version, date, command line, input files with their checksums."""
 
 import contextlib
 import contextvars
 import dataclasses
+import datetime
 import functools
 import hashlib
+import os
 import re
 import shlex
 from collections.abc import Iterable, Iterator
@@ -27,6 +29,27 @@ def version() -> str:
         return metadata.version("oceaninv")
     except metadata.PackageNotFoundError:
         return "unknown"
+
+
+def date_created() -> str:
+    """Now in UTC as ISO 8601, to the second.
+
+    Where the environment sets SOURCE_DATE_EPOCH, whole seconds since 1970, that moment: results of
+    equal inputs are then equal bit by bit (https://reproducible-builds.org/specs).
+
+    **Raises:** `ValueError` where SOURCE_DATE_EPOCH is no such number.
+    """
+    given = os.environ.get("SOURCE_DATE_EPOCH")
+    try:
+        seconds = None if given is None else int(given)
+        moment = datetime.datetime.now(datetime.UTC)
+        if seconds is not None:
+            moment = datetime.datetime.fromtimestamp(seconds, datetime.UTC)
+    except (ValueError, OverflowError, OSError):
+        raise ValueError(
+            f"SOURCE_DATE_EPOCH is {given!r}; set it to whole seconds since 1970, or not at all."
+        ) from None
+    return moment.strftime("%Y-%m-%dT%H:%M:%SZ")
 
 
 def without_folders(text: str) -> str:
@@ -71,8 +94,8 @@ class Provenance:
 
     @property
     def facts(self) -> dict[str, str]:
-        """What is known, by name: oceaninv_version, command_line, input_files."""
-        found = {"oceaninv_version": version()}
+        """What is known, by name: oceaninv_version, date_created, command_line, input_files."""
+        found = {"oceaninv_version": version(), "date_created": date_created()}
         if self.command is not None:
             found["command_line"] = self.command
         if self.inputs:
@@ -87,8 +110,9 @@ class Provenance:
 
     @property
     def history(self) -> str:
-        """One line that holds the mark of files of oceaninv, the version and the command."""
-        return f"{MARK} {version()}" + (f": {self.command}" if self.command else "")
+        """One line: the date, the mark of files of oceaninv, the version and the command."""
+        made = f"{date_created()}: {MARK} {version()}"
+        return made + (f": {self.command}" if self.command else "")
 
 
 _CURRENT: contextvars.ContextVar[Provenance] = contextvars.ContextVar("provenance")

@@ -140,6 +140,7 @@ def vmapped(count: int = 32, repeats: int = 30):
 def main():
     """Print what was asked for, all unless named."""
     jax.config.update("jax_enable_x64", True)
+    jax.config.update("jax_enable_compilation_cache", False)  # first calls compile
     for name in sys.argv[1:] or ("charts", "pixels", "batch", "vmapped"):
         {"charts": charts, "pixels": pixels, "batch": batch, "vmapped": vmapped}[name]()
 

@@ -169,6 +169,7 @@ def memory(count: int):
 def main():
     """Print what was asked for."""
     jax.config.update("jax_enable_x64", True)
+    jax.config.update("jax_enable_compilation_cache", False)  # first calls compile
     asked = sys.argv[1:] or ["kd"]
     if asked[0] == "waters":
         waters()

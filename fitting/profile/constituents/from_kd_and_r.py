@@ -19,6 +19,8 @@ from fitting.water_model.unknowns import (
     shape_nuisances,
     water_unknowns,
 )
+from oceaninv.foundation.argument_names import names_checked
+from oceaninv.foundation.double_precision import in_double_precision
 from oceaninv.foundation.tables import check_wavelength
 from oceaninv.transport.base import AbstractTransport
 
@@ -28,6 +30,8 @@ _KD_ERROR, _WORTH, _TAILS, _REWEIGHTINGS = 0.05, 4.0, 4.0, 3
 _LEVEL = 0.1
 
 
+@names_checked
+@in_double_precision
 def fit_apparent(
     wavelength,
     Kd,

@@ -19,6 +19,7 @@ def test_fit_profile_writes_a_cf_dataset_and_a_picture(tmp_path, capsys):
     shown = capsys.readouterr().out
     assert "mean from the surface to the depth of 10 % light" in shown
     assert "search: converged" in shown
+    assert "self-shading, immersion: not applied" in shown
     assert {p.name for p in tmp_path.iterdir()} == {"cast.nc", "cast.png"}
     with xr.open_dataset(tmp_path / "cast.nc") as data:
         assert data.Kd.attrs["units"] == "m-1"

@@ -1,5 +1,6 @@
 """Every file that a command writes says which version, command and input files made it."""
 
+import datetime
 import hashlib
 import json
 from pathlib import Path
@@ -65,19 +66,36 @@ def test_what_a_block_records_ends_with_it(tmp_path):
     with provenance.recording(provenance.Provenance(("x\ny",))):
         provenance.record_inputs([path, path, tmp_path / "absent"])
         assert provenance.current().inputs == ((path.name, digest(path)),)
-        assert provenance.current().lines[1:] == [
+        assert provenance.current().lines[2:] == [
             "command_line: oceaninv 'x y'",
             f"input_files: a b.csv (SHA-256 {digest(path)})",
         ]
     assert provenance.current() == provenance.Provenance()
-    assert provenance.current().lines == ["oceaninv_version: 0.2.0"]
+    assert provenance.current().lines[0] == "oceaninv_version: 0.2.0"
+    assert len(provenance.current().lines) == 2
+
+
+def test_the_date_is_now_or_the_one_that_the_environment_sets(monkeypatch):
+    monkeypatch.delenv("SOURCE_DATE_EPOCH", raising=False)
+    before = datetime.datetime.now(datetime.UTC).replace(microsecond=0)
+    said = datetime.datetime.fromisoformat(provenance.date_created())
+    assert before <= said <= datetime.datetime.now(datetime.UTC)
+    monkeypatch.setenv("SOURCE_DATE_EPOCH", "1577934245")
+    assert provenance.current().facts["date_created"] == "2020-01-02T03:04:05Z"
+    assert provenance.current().history == "2020-01-02T03:04:05Z: written by oceaninv 0.2.0"
+    for wrong in ("yesterday", "", "1e9", "9" * 30):
+        monkeypatch.setenv("SOURCE_DATE_EPOCH", wrong)
+        with pytest.raises(ValueError, match="whole seconds since 1970"):
+            provenance.date_created()
 
 
 def facts_of(path):
     """The provenance that a file of any kind states."""
     if path.suffix == ".nc":
         with h5netcdf.File(path) as data:
-            assert data.attrs["history"].startswith("written by oceaninv 0.2.0: oceaninv ")
+            written, made = data.attrs["history"].split(": ", 1)
+            assert written == data.attrs["date_created"]
+            assert made.startswith("written by oceaninv 0.2.0: oceaninv ")
             return dict(data.attrs)
     if path.suffix == ".csv":
         return read_sheet(path).header
@@ -88,7 +106,7 @@ def facts_of(path):
         lines = spec.getattribute("Comment").splitlines()
         return dict(line.split(": ", 1) for line in lines)
     text = path.read_text()
-    names = ("oceaninv_version", "command_line", "input_files")
+    names = ("oceaninv_version", "date_created", "command_line", "input_files")
     if path.suffix == ".html":
         cut = "</td><td style='text-align:left'>"
         return {n: text.split(n.replace("_", " ") + cut)[1].split("</td>")[0] for n in names}
@@ -123,6 +141,7 @@ def test_every_result_names_version_command_and_inputs(tmp_path, capsys):
         for name in outputs:
             facts = facts_of(tmp_path / name)
             assert facts["oceaninv_version"] == "0.2.0", name
+            assert len(facts["date_created"]) == len("2020-01-02T03:04:05Z"), name
             assert facts["command_line"].startswith(f"oceaninv {arguments[0]} {inputs[0]} "), name
             assert str(tmp_path) not in facts["command_line"]
             for path in inputs:
@@ -158,8 +177,9 @@ def test_readings_with_their_provenance_are_read_as_before(tmp_path):
     assert one.lamp == two.lamp
 
 
-def test_results_of_archives_are_equal_bit_by_bit(tmp_path, capsys):
+def test_results_of_archives_are_equal_bit_by_bit(tmp_path, monkeypatch, capsys):
     """Whatever the folder and the company of a cast is, and whether its run was resumed."""
+    monkeypatch.setenv("SOURCE_DATE_EPOCH", "0")
     for i in range(3):
         (tmp_path / f"{i}.csv").write_text(CAST.replace("5,", f"{5 + i},"))
     paths = [str(tmp_path / f"{i}.csv") for i in range(3)]

@@ -4,6 +4,8 @@ import os
 import pickle
 from types import SimpleNamespace
 
+import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -96,6 +98,15 @@ def test_jax_s_own_cache_and_ours_keep_out_of_each_other_s_way(tmp_path, monkeyp
     assert program_cache._folder() == str(tmp_path)
 
 
+def test_python_shares_the_programs_of_the_commands(tmp_path, monkeypatch):
+    values = {"jax_compilation_cache_dir": None, "jax_enable_compilation_cache": True}
+    monkeypatch.setattr(program_cache.jax, "config", SimpleNamespace(values=values))
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    assert program_cache._folder() == str(tmp_path / "oceaninv" / "programs")
+    values["jax_enable_compilation_cache"] = False
+    assert program_cache._folder() is None
+
+
 class _Planted:
     """What runs a command when it is unpickled."""
 
@@ -150,3 +161,37 @@ def test_a_new_folder_belongs_to_its_user_alone(tmp_path, monkeypatch):
     call()
     assert (tmp_path / "a" / "programs").stat().st_mode & 0o777 == 0o700
     assert (tmp_path / "a" / "programs" / "key").stat().st_mode & 0o777 == 0o600
+
+
+def test_a_program_is_of_the_precision_of_its_caller(folder):
+    """Also where another thread compiles it, whose setting is the process's own."""
+
+    def told(x):
+        return jnp.sum(x), jnp.zeros(())
+
+    with jax.enable_x64(False):
+        program, x = cached_jit(told), jnp.ones(2, jnp.float32)
+        program.prepare(x)
+        assert program(x)[1].dtype == jnp.float32
+    with jax.enable_x64(True):
+        program.prepare(x)
+        assert program(x)[1].dtype == jnp.float64
+    assert len(list(folder.glob("*.program"))) == 2
+
+
+class _Own(eqx.Module):
+    """A model of the user's own, which may be another one in the next process."""
+
+    slope: float = eqx.field(static=True)
+
+    def __call__(self, x):
+        TRACES.append("own")
+        return self.slope * x
+
+
+def test_code_that_the_key_does_not_cover_is_not_stored(folder):
+    program = cached_jit(lambda model, x: model(x))
+    program.prepare(_Own(2.0), jnp.ones(2))
+    np.testing.assert_array_equal(program(_Own(2.0), jnp.ones(2)), 2.0)
+    assert TRACES == ["own"]
+    assert list(folder.glob("*.program")) == []

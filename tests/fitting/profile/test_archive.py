@@ -143,9 +143,10 @@ def test_bad_options_are_sentences(option, sentence, tmp_path, capsys):
 
 
 @pytest.mark.slow
-def test_a_cluster_writes_the_same_bytes_as_one_process(tmp_path):
+def test_a_cluster_writes_the_same_bytes_as_one_process(tmp_path, monkeypatch):
     from distributed import LocalCluster
 
+    monkeypatch.setenv("SOURCE_DATE_EPOCH", "0")  # results name the second they were written in
     many = casts(6)
     files = [write(tmp_path, cast, f"cast{i}.csv") for i, cast in enumerate(many)]
     (tmp_path / "broken.csv").write_bytes(HOSTILE["nul.csv"])
