@@ -13,7 +13,7 @@ from fitting.images.photograph_file import Photograph, read_photograph
 from fitting.images.range_file import read_range
 from fitting.observations.bulk import (Bulk)
 from fitting.observations.profile import (Profile)
-from fitting.observations.photo import Background, Chart, Photo, Pixels
+from fitting.observations.photo import Background, Board, Chart, Photo, Pixels
 from fitting.photo.assumptions import assumptions
 from fitting.photo.fit_photo import (fit_photo, fit_photos)
 from fitting.photo.design import (design)
@@ -25,7 +25,7 @@ import fitting.report.picture  # noqa: F401  # it draws `Fit.report`
 from oceaninv import __version__  # noqa: F401
 
 __all__ = [
-    "NUTS", "AbstractMedium", "Background", "Bulk", "Chart", "Fit", "Identity", "Log",
+    "NUTS", "AbstractMedium", "Background", "Board", "Bulk", "Chart", "Fit", "Identity", "Log",
     "Logit", "Milk", "NaturalWater", "Parameter", "Photo", "Photograph", "Pixels",
     "Populations", "Profile", "ProfileFits", "Quantity", "SmoothKd", "assumptions", "design",
     "fit_apparent", "fit_bulk", "fit_photo", "fit_photos", "fit_profile", "fit_profiles",

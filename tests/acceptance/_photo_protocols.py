@@ -19,7 +19,7 @@ from fitting.core.profile_likelihood import profile_adjusted_sd, profile_along
 from fitting.core.result import amount_bias
 from fitting.photo.problem import PhotoProblem, predict_all, prepare, search
 from fitting.water_model.quantities import water_quantities
-from tests.acceptance.photo_statistics import WAVELENGTH, patches
+from tests.acceptance.photo_statistics import POINT, WAVELENGTH, patches
 
 CAMERA, SUN, CHUNK = "Nikon D850", 40.0, 25
 CONSTITUENTS = ("chlorophyll", "cdom", "detritus")
@@ -73,7 +73,8 @@ class Protocol(NamedTuple):
 
 def photo(ranges, depth=5.0, zeniths=(90.0,), range_sd=0.0, **kwargs: Any) -> Photo:
     """One frame of ColorCheckers at `ranges` and open water; the readings are to be replaced."""
-    charts = [Chart(np.ones((24, 3)), patches(), r, distance_sd=range_sd) for r in ranges]
+    ones = np.ones((24, 3))
+    charts = [Chart(ones, patches(), r, distance_sd=range_sd, board=POINT) for r in ranges]
     water = [Background(np.ones((len(zeniths), 3)), zeniths)] if zeniths else []
     response = oi.spectrum.camera_response(CAMERA)
     return Photo(charts, water, response=response, depth=depth, solar_zenith=SUN, **kwargs)

@@ -57,7 +57,12 @@ def observed(water, centred: bool, **broken) -> tuple[Fit, np.ndarray]:
     seen = np.asarray(predict(values, readings, oi.TwoStream(), sunlight))
     frame, count = photo(RANGES), 24
     charts = [
-        Chart(seen[count * k : count * (k + 1)], chart.reflectance, chart.distance)
+        Chart(
+            seen[count * k : count * (k + 1)],
+            chart.reflectance,
+            chart.distance,
+            board=chart.board,
+        )
         for k, chart in enumerate(frame.charts)
     ]
     again = Photo(charts, [Background(seen[count * len(charts) :])], response=frame.response,

@@ -6,7 +6,8 @@ Prints the tables and writes them beside this file as photo_statistics_<part>.md
 a few minutes each.
 
 Protocol: one frame at 5 m by a Nikon D850; 24 patches (colour-science's ColorChecker 2005) at 1, 2
-and 4 m and open water, horizontally; exposure and white balance unknown; 1 % noise.
+and 4 m and open water, horizontally; exposure and white balance unknown; 1 % noise.  The charts are
+too small to hide water or to shine past themselves; for boards of any size see `photo_boards.py`.
 
 - Matched: coastal water (chlorophyll 1.5 mg/m3, CDOM 0.15 /m, detritus 0.08 /m) by the fit's own
   model, every nuisance drawn from its prior.  The bound is Bayesian: information of the readings
@@ -35,7 +36,7 @@ import numpy as np
 from scipy.stats import binom
 
 import oceaninv as oi
-from fitting import Background, Chart, Photo
+from fitting import Background, Board, Chart, Photo
 from fitting.commands.main import quick_compilation
 from fitting.core.least_squares import covariance, curvature, value_and_jacobian
 from fitting.core.parameters import Prior
@@ -49,6 +50,8 @@ from tests.acceptance import _mismatched
 DRAWS, CHUNK, NOISE = 200, 25, 0.01
 RANGES, DEPTH, SUN = (1.0, 2.0, 4.0), 5.0, 40.0
 COAST = {"chlorophyll": 1.5, "cdom": 0.15, "detritus": 0.08}
+# A chart that shows as a point.
+POINT = Board(1e-4, 1e-4, size_sd=0.0)
 QUANTITIES = ("Kd_490", "c_550", "a_cdm_440", "bb_550")
 LEVELS = (0.68, 0.95)
 
@@ -64,7 +67,7 @@ def patches() -> np.ndarray:
 def problem(sun: float = SUN):
     """Parameters, readings (values to be replaced) and sunlight of the protocol's photograph."""
     ones = np.ones((24, 3))
-    charts = [Chart(ones, patches(), r, name=f"{r:g} m") for r in RANGES]
+    charts = [Chart(ones, patches(), r, name=f"{r:g} m", board=POINT) for r in RANGES]
     photo = Photo(
         charts,
         [Background(np.ones((1, 3)))],

@@ -37,11 +37,13 @@ RANGES = (1.0, 2.0, 4.0)
 
 def readings(values=None, sigma: float = 0.02, **rest) -> Photo:
     """A ColorChecker at three ranges and open water; readings of 1 unless given."""
-    chart = target("ColorChecker24").reflectance
+    known = target("ColorChecker24")
     values = np.ones((24 * len(RANGES) + 1, 3)) if values is None else values
     parts = [values[24 * k : 24 * k + 24] for k in range(len(RANGES))]
     charts = [
-        Chart(part, chart, r, sigma * part, distance_sd=0.02)
+        Chart(
+            part, known.reflectance, r, sigma * part, distance_sd=0.02, board=known.board
+        )
         for part, r in zip(parts, RANGES, strict=True)
     ]
     water = [Background(values[-1:], sigma=sigma * values[-1:])]

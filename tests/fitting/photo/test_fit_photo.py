@@ -9,7 +9,17 @@ import optimistix as optx
 import pytest
 
 import oceaninv as oi
-from fitting import Background, Chart, Parameter, Photo, Pixels, design, fit_photo, fit_photos
+from fitting import (
+    Background,
+    Board,
+    Chart,
+    Parameter,
+    Photo,
+    Pixels,
+    design,
+    fit_photo,
+    fit_photos,
+)
 from fitting.core import jaxopt_solver
 from fitting.core.least_squares import covariance
 from fitting.observations.photo import WAVELENGTH
@@ -21,6 +31,7 @@ from fitting.water_model.unknowns import water_iops
 GREY = np.array([0.9, 0.5, 0.2, 0.08])
 TRUTH = {"chlorophyll": 1.5, "cdom": 0.15, "detritus": 0.08}
 CAMERA = "Nikon D850"
+BOARD = Board(0.2, 0.2, size_sd=0.0)
 
 
 def photo(values=None, sigma=0.01, **changes):
@@ -28,8 +39,8 @@ def photo(values=None, sigma=0.01, **changes):
     values = np.ones((9, 3)) if values is None else values
     arguments = {"depth": 5.0, "response": oi.spectrum.camera_response(CAMERA)} | changes
     charts = [
-        Chart(values[4 * k : 4 * k + 4], GREY, r, sigma * np.abs(values[4 * k : 4 * k + 4]))
-        for k, r in enumerate((1.0, 3.0))
+        Chart(part, GREY, r, sigma * np.abs(part), board=BOARD)
+        for r, part in ((1.0, values[:4]), (3.0, values[4:8]))
     ]
     return Photo(charts, [Background(values[8:], sigma=sigma * np.abs(values[8:]))], **arguments)
 
@@ -155,7 +166,7 @@ def test_predicted_values_are_those_of_the_forward_chain():
     water_seen = np.asarray(oi.radiance(scene, endless).value)[0]
     rows = []
     for r, light in ((1.0, 1.3), (3.0, 0.6)):
-        # The board that is assumed where none is known: its patches are discs in its middle.
+        # Patches that are not laid out are discs in the board's middle.
         half, at = jnp.asarray([0.1]), jnp.asarray([r])
         board = np.asarray(oi.target_transmission(model, at, half, peak_width=1.5))[0]
         patch = np.asarray(oi.disc_transmission(model, at, 0.2 * half[None], 1.5))[0, 0]
@@ -298,7 +309,7 @@ def _off(fit, of_water):
     ("nuisance", "value"),
     [
         ("backscatter", 1.2),
-        ("detritus_scattering_ratio", 6.5),
+        ("peak_width", 2.2),
         ("detritus_slope", 0.0105),
         ("phytoplankton_absorption", 1.4),
         ("phytoplankton_scattering", 1.5),
