@@ -110,8 +110,8 @@ def target_transmission(
     - **Neglects**: the longer way of scattered light, and light that turns back.
     - **Measured error** of M against random walks (`tests/oceaninv/water/test_image_forming.py`),
       for b r of 0.1-3, half-sizes of 0.01-0.3 of the distance and six phase functions: 0.2-0.5 %
-      rms and 2.4 % at most for a = b/4; 1.2-3.3 % rms and 15 % at most (too large) for a = 2 b, where
-      the longer way of scattered light is felt: at a r = 6, with half-sizes of 0.3.
+      rms and 2.4 % at most for a = b/4; 1.2-3.3 % rms and 15 % at most (too large, with half-sizes
+      of 0.3 at a r = 6) for a = 2 b, where the longer way of scattered light is felt.
     - **Differentiable in** a, b, phase functions, distance, size and `peak_width`, both modes.
 
     **Raises:** ValueError for concrete values outside their ranges.

@@ -61,9 +61,7 @@ def photographs(scene: walked.WalkedScene, size, rng) -> list[Photo]:
             part = values[start : start + len(chart.reflectance)]
             start += len(part)
             board = board_of(chart, size)
-            charts.append(
-                Chart(part, chart.reflectance, chart.distance, NOISE * part, board=board)
-            )
+            charts.append(Chart(part, chart.reflectance, chart.distance, NOISE * part, board=board))
         water = [Background(values[start:], scene.zenith, NOISE * values[start:])]
         made.append(
             Photo(
@@ -139,7 +137,7 @@ def table(results: dict[str, dict[str, Row]], scenes: list[walked.WalkedScene]) 
     out = [
         "# Photo fits of boards of finite size\n",
         f"`python -m tests.acceptance.photo_boards`: {len(scenes)} walked scenes, {DRAWS} draws of "
-        f"{100 * NOISE:g} % noise each; shares of 95 % intervals that hold the truth, median errors "
+        f"{100 * NOISE:g} % noise each.  Shares of 95 % intervals that hold the truth; median errors "
         "of the logarithm in standard deviations.\n",
         f"| {' | '.join(heads)} |",
         f"|{'---|' * len(heads)}",

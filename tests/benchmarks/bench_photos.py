@@ -41,9 +41,7 @@ def readings(values=None, sigma: float = 0.02, **rest) -> Photo:
     values = np.ones((24 * len(RANGES) + 1, 3)) if values is None else values
     parts = [values[24 * k : 24 * k + 24] for k in range(len(RANGES))]
     charts = [
-        Chart(
-            part, known.reflectance, r, sigma * part, distance_sd=0.02, board=known.board
-        )
+        Chart(part, known.reflectance, r, sigma * part, distance_sd=0.02, board=known.board)
         for part, r in zip(parts, RANGES, strict=True)
     ]
     water = [Background(values[-1:], sigma=sigma * values[-1:])]

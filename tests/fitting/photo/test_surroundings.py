@@ -1,0 +1,165 @@
+"""Boards: what surrounds a patch, how a fit sees it, and what is refused."""
+
+import dataclasses
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import oceaninv as oi
+from fitting import Background, Board, Chart, Photo
+from fitting.images.chart_targets import NAMES, target
+from fitting.images.photo_csv import read_photo
+from fitting.observations.photo import WAVELENGTH
+from fitting.photo.forward_model import light_up, predict
+from fitting.photo.problem import prepare
+from fitting.photo.surroundings import RINGS, surroundings_of
+
+ONES = np.ones((24, 3))
+
+
+def checker(distance=1.0, **changes) -> Chart:
+    known = target("ColorChecker24")
+    return Chart(ONES, known.reflectance, distance, **({"board": known.board} | changes))
+
+
+def test_rings_hold_the_board_and_no_more():
+    around = surroundings_of(checker())
+    board = checker().board
+    assert board is not None
+    assert around.reflectance.shape == (24, RINGS, 16)
+    np.testing.assert_allclose(around.reflectance[:, 0], target("ColorChecker24").reflectance)
+    assert np.all(around.cover[:, 0] == 1.0)
+    # Rings are filled evenly in radius: the mean width of what is covered, over all azimuths, is
+    # the mean distance of the edge from the patch's centre.
+    azimuth = 2 * np.pi * (np.arange(20000) + 0.5) / 20000
+    way = np.stack([np.cos(azimuth), np.sin(azimuth)], axis=1)
+    half = np.array([board.width, board.height]) / 2
+    for place in (0, 8, 23):
+        room = np.where(way > 0, half - board.patches[place, :2], half + board.patches[place, :2])
+        edge = np.min(room / np.abs(way), axis=1).mean()
+        width = np.diff(around.radius, prepend=0.0)
+        assert around.cover[place] @ width == pytest.approx(edge, rel=0.01)
+    # A board of one grey is that grey wherever it is.
+    plain = dataclasses.replace(target("ColorChecker24"), reflectance=np.full((24, 16), 0.3)).board
+    assert plain is not None
+    grey = Board(plain.width, plain.height, 0.0, plain.patches, np.full(24, 0.3), ground=0.3)
+    even = surroundings_of(Chart(ONES, np.full(24, 0.3), 1.0, board=grey))
+    np.testing.assert_allclose(even.reflectance, 0.3 * even.cover[:, :, None].repeat(16, axis=2))
+
+
+def test_a_board_that_fills_the_view_and_one_that_is_a_point():
+    """The limits: exp(-(c - b_forward) r) and no water behind; exp(-c r) and all of it."""
+    grey = np.array([0.3, 0.3])
+
+    def seen(board):
+        frame = Photo([Chart(np.ones((2, 3)), grey, 1.5, board=board)],
+                      [Background(np.ones((1, 3)))], depth=5.0,
+                      response=oi.spectrum.camera_response("Nikon D850"))  # fmt: skip
+        parameters, (readings,), sun = prepare([frame], oi.TwoStream())
+        values = {p.name: jnp.asarray(p.centre) for p in parameters}
+        values |= {f"gain_0_{c}": jnp.asarray(1.0) for c in "RGB"}
+        lit = light_up(values, readings, sun, 0)
+        return np.asarray(predict(values, readings, oi.TwoStream(), sun)), lit, values
+
+    point, lit, values = seen(Board(1e-7, 1e-7, 0.0))
+    whole = seen(Board(3.0, 3.0, 0.0))[0]
+    scene, water = lit.scene, lit.water
+    light = np.asarray(oi.irradiance(scene, jnp.asarray([5.0])).Ed.value)[0] / np.pi
+    endless = oi.Rays(jnp.asarray([0.0, 0.0, 5.0]), jnp.asarray([[0.0, 1.0, -6e-17]]))
+    open_water = np.asarray(oi.radiance(scene, endless).value)[0]
+    response = np.asarray(lit.response)
+    for got, lost, exact in ((point, water.c, 1e-5), (whole, water.a + water.bb, 0.03)):
+        through = np.exp(-np.asarray(lost) * 1.5)
+        expected = (through * 0.3 * light + (1 - through) * open_water) @ response.T
+        np.testing.assert_allclose(got[0], expected, rtol=exact)
+    # A larger factor on the size makes a large board of a small one.
+    assert float(values["peak_width"]) == 1.5
+
+
+def test_readings_that_are_left_out_stay_on_the_board():
+    chart = checker()
+    some = chart.only(np.arange(24) >= 18)
+    assert some.place is not None
+    np.testing.assert_array_equal(some.place, np.arange(18, 24))
+    np.testing.assert_allclose(
+        surroundings_of(some).reflectance[:, 1:], surroundings_of(chart).reflectance[18:, 1:],
+        rtol=0.2, atol=0.02,
+    )  # fmt: skip
+    assert some.board is chart.board
+
+
+@pytest.mark.parametrize(
+    ("name", "width", "height"),
+    [("ColorChecker24", 0.289, 0.204), ("ColorCheckerPassport", 0.125, 0.09),
+     ("DGK18", 0.216, 0.140)],
+)  # fmt: skip
+def test_charts_known_by_name_know_their_boards(name, width, height):
+    assert name in NAMES
+    chart = target(name)
+    assert chart.board is not None
+    assert (chart.board.width, chart.board.height) == (width, height)
+    assert len(chart.board.patches) == len(chart.reflectance)
+    double = chart.of_size(2 * width, 0.0).board
+    assert double is not None
+    assert double.height == pytest.approx(2 * height)
+    np.testing.assert_allclose(double.patches, 2 * chart.board.patches)
+    assert double.size_sd == 0.0
+
+
+def test_sizes_from_files(tmp_path):
+    head = (
+        "# units: kind=text, chart=text, reflectance=1, range=m, zenith=degree, R*=1, G*=1, B*=1\n"
+    )
+    rows = "kind,chart,reflectance,range,zenith,R,G,B,R_sd,G_sd,B_sd\n"
+    rows += "".join(f"chart,A,{v},2,90,{v},{v},{v},.01,.01,.01\n" for v in (0.1, 0.5, 0.9))
+
+    def read(header="", **options):
+        path = tmp_path / "dive.csv"
+        path.write_text(head + header + rows)
+        return read_photo(path, 5.0, **options)[0].charts[0].board
+
+    assert read() is None
+    board = read("# board_width: 0.3\n# board_height: 0.2\n")
+    assert (board.width, board.height) == (0.3, 0.2)
+    assert read(size=0.4).width == 0.4
+    with pytest.raises(ValueError, match=r"dive\.csv: give both '# board_width' and"):
+        read("# board_width: 0.3\n")
+    with pytest.raises(
+        ValueError, match=r"dive\.csv: width of a board is 280 m; between 0 and 20 m"
+    ):
+        read("# board_width: 280\n# board_height: 200\n")
+
+
+@pytest.mark.parametrize(
+    ("made", "said"),
+    [
+        (lambda: Board(0.0, 0.1), "width of a board is 0 m; between 0 and 20 m"),
+        (lambda: Board(280.0, 204.0), "a length in mm"),
+        (lambda: Board(0.2, np.nan), "height of a board is nan"),
+        (lambda: Board(0.2, 0.2, -0.1), r"size_sd of a board must lie in \[0, 2\)"),
+        (lambda: Board(0.2, 0.2, patches=[[0.1, 0.0, 0.05, 0.05]], reflectance=[0.5]),
+         "1 of 1 patches have no size or lie outside"),
+        (lambda: Board(0.2, 0.2, patches=[[0.0, 0.0, 0.05, 0.05]]), "one reflectance per patch: 0"),
+        (lambda: checker(0.1), "nearer than its half-size"),
+        (lambda: checker(place=np.arange(1, 25)), "must name one of the board's 24 patches"),
+        (lambda: target("DGK18").of_size(216.0), "a length in mm"),
+    ],
+)  # fmt: skip
+def test_boards_that_cannot_be_are_refused(made, said):
+    with pytest.raises(ValueError, match=said):
+        made()
+
+
+def test_a_board_without_a_known_size_is_one_more_unknown():
+    def names(**changes):
+        frame = Photo([checker(**changes)], depth=5.0)
+        return prepare([frame], oi.TwoStream())[0]
+
+    known = target("ColorChecker24").of_size(0.289, 0.0).board
+    assert "board_size" not in names(board=known).names
+    by_name = {p.name: p for p in names()}
+    assert by_name["board_size"].spread == 0.05
+    assert {p.name: p for p in names(board=None)}["board_size"].spread == 0.5
+    assert "peak_width" in by_name
+    assert len(WAVELENGTH) == 16
