@@ -45,7 +45,7 @@ from fitting.water_model.quantities import UNITS, quantities_of
 from fitting.water_model.scene_of_fit import scene_at
 from fitting.water_model.unknowns import modelled_bands, water_unknowns
 from oceaninv.fidelity.planning import model_label
-from oceaninv.transport.base import AbstractTransport
+from oceaninv.transport.base import AbstractTransport, check_transport
 
 
 def fit_profile(
@@ -111,6 +111,8 @@ def fit_profile(
 def _check_arguments(profile: Profile, transport, priors, layers, tolerance, solver) -> None:
     """ValueError where arguments of `fit_profile` contradict each other."""
     check_solver(solver)
+    if transport is not None:
+        check_transport(transport)
     if layers != 1:
         if tolerance is not None:
             raise ValueError("a tolerance chooses among models of one water: leave out layers.")

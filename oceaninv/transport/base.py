@@ -85,3 +85,20 @@ def inelastic_orders_of(inelastic_orders: int, generations: int | None) -> int:
         return inelastic_orders
     warnings.warn("generations is now inelastic_orders.", DeprecationWarning, stacklevel=5)
     return generations
+
+
+def check_transport(transport) -> None:
+    """ValueError for what is no transport, such as its class."""
+    if isinstance(transport, type):
+        raise ValueError(
+            f"transport is the class {transport.__name__}: write {transport.__name__}(), with its "
+            "arguments where it has any."
+        )
+    if not isinstance(transport, AbstractTransport):
+        raise ValueError(
+            f"transport is {transport!r:.80}; it must be a model such as oi.TwoStream() or "
+            "oi.PlaneParallel(16)."
+        )
+    base = getattr(transport, "base", None)
+    if base is not None:
+        check_transport(base)

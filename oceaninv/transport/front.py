@@ -12,7 +12,13 @@ from oceaninv.foundation.interface_optics import Rays
 from oceaninv.scene.camera import Camera
 from oceaninv.scene.range_map import RangeMap
 from oceaninv.scene.scene import Scene
-from oceaninv.transport.base import AbstractTransport, Estimate, Irradiance, homogeneous
+from oceaninv.transport.base import (
+    AbstractTransport,
+    Estimate,
+    Irradiance,
+    check_transport,
+    homogeneous,
+)
 from oceaninv.transport.closed_form.two_stream import TwoStream
 from oceaninv.transport.objects.range_map_radiance import ranged_radiance
 from oceaninv.transport.objects.shadows import WithObjects
@@ -107,6 +113,7 @@ def photograph(
         check_ranges(scene, ranges)
         seen = ranges.seen_by(camera)
         base = TwoStream() if transport is None else transport
+        check_transport(base)
         estimate = ranged_radiance(scene, camera.rays(), seen, ranges.reflectance, base, key)
         return _channels(camera, weights, estimate)
     if scene.surface is not None and scene.surface.waves is not None:
@@ -173,6 +180,7 @@ def _able(scene: Scene, transport: AbstractTransport | None) -> AbstractTranspor
     """The transport, `TwoStream()` by default, with objects and lamps added where needed;
     ValueError for a scene that it does not solve."""
     transport = TwoStream() if transport is None else transport
+    check_transport(transport)
     field = transport.base if isinstance(transport, WithObjects) else transport
     if scene.inelastic is not None and not field.inelastic:
         raise ValueError(
