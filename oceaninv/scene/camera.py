@@ -99,8 +99,9 @@ class Sensor(eqx.Module):
 
     **Arguments:**
 
-    - `exposure`: factor on the channel values; `None` brings the 99th percentile of the brightest
-      channel to 0.9.
+    - `exposure`: factor on the channel values; `None` brings the 99th percentile (the lower of
+      the two ranks about it, so that the brightest pixel never counts) of the brightest channel to
+      0.9.
     - `full_well`: electrons at value 1, which set the photon noise; `None`: none.
     - `read_noise`: standard deviation of every pixel, electrons; needs `full_well`.
     - `bits`: of the analogue-to-digital converter; `None`: not rounded.
@@ -153,5 +154,6 @@ class Sensor(eqx.Module):
     def _factor(self, values) -> Float[Array, ""]:
         if self.exposure is not None:
             return self.exposure.astype(values.dtype)
-        bright = jnp.max(jnp.percentile(values, jnp.asarray(99.0, values.dtype), axis=(0, 1)))
+        share = jnp.asarray(99.0, values.dtype)
+        bright = jnp.max(jnp.percentile(values, share, axis=(0, 1), method="lower"))
         return 0.9 / jnp.where(bright > 0, bright, 1.0)
