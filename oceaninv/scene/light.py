@@ -147,7 +147,10 @@ def clear_sky(
         from pvlib.atmosphere import get_relative_airmass
         from pvlib.spectrum import spectrl2
     except ImportError:
-        raise ImportError('a clear sky needs pvlib: pip install "oceaninv[sky]".') from None
+        raise ImportError(
+            "a clear sky needs pvlib: pip install pvlib, or give the light another spectrum, for "
+            "instance D65."
+        ) from None
 
     found = spectrl2(
         apparent_zenith=float(zenith),

@@ -46,7 +46,10 @@ class Irradiance(eqx.Module):
 def homogeneous(scene: Scene) -> IOPs:
     """The water of a scene that has only one; ValueError for `Layers`."""
     if not isinstance(scene.water, IOPs):
-        raise ValueError("this closed form solves one homogeneous water, not Layers.")
+        raise ValueError(
+            "this closed form solves one homogeneous water, not Layers: take PlaneParallel or "
+            "MonteCarlo (on the command line --transport plane-parallel)."
+        )
     return scene.water
 
 
