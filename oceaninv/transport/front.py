@@ -1,5 +1,7 @@
 """The front ends, which check the input and call any transport on any scene."""
 
+import dataclasses
+
 import equinox as eqx
 import jax
 import jax.core
@@ -22,6 +24,7 @@ from oceaninv.transport.base import (
 from oceaninv.transport.closed_form.two_stream import TwoStream
 from oceaninv.transport.objects.range_map_radiance import ranged_radiance
 from oceaninv.transport.objects.shadows import WithObjects
+from oceaninv.water.iops import IOPs, Layers
 
 
 def radiance(
@@ -118,7 +121,7 @@ def photograph(
         return _channels(camera, weights, estimate)
     if scene.surface is not None and scene.surface.waves is not None:
         check_rays(scene, camera.rays())
-    return _photograph(scene, camera, weights, _able(scene, transport), key)
+    return _photograph(_numbered(scene), camera, weights, _able(scene, transport), key)
 
 
 def check_ranges(scene: Scene, ranges: RangeMap) -> None:
@@ -174,6 +177,27 @@ def _photograph(scene: Scene, camera: Camera, weights, transport, key) -> Estima
         found = tuple(v.reshape(pieces * _PIECE, -1)[:count] for v in found)
     shape = (camera.height, camera.width, weights.shape[1])
     return Estimate(*(v.reshape(shape) for v in found))
+
+
+def _numbered(scene: Scene) -> Scene:
+    """The scene with bands that are numbered 1, 2, ...
+
+    Wavelengths are part of the key of a compiled program, but only inelastic processes use them:
+    so scenes that differ in them share a program."""
+    if scene.inelastic is not None:
+        return scene
+    number = np.arange(1.0, len(scene.wavelength) + 1)
+
+    def water(old: IOPs) -> IOPs:
+        parts = (old.a_components, old.b_components, old.phases, old.absorbers, old.scatterers)
+        return IOPs(number, *parts)
+
+    old = scene.water
+    if isinstance(old, IOPs):
+        return dataclasses.replace(scene, water=water(old))
+    return dataclasses.replace(
+        scene, water=Layers(old.interfaces, tuple(water(iops) for iops in old.iops))
+    )
 
 
 def _able(scene: Scene, transport: AbstractTransport | None) -> AbstractTransport:
