@@ -6,11 +6,11 @@ light field -> what a sensor saw, every step a pure, jit-able, differentiable JA
 from oceaninv import mie, transport, water
 from oceaninv.fidelity import Plan, plan
 from oceaninv.foundation import interface_optics as optics
-from oceaninv.foundation import spectrum, tables
-from oceaninv.foundation import former_names  # noqa: F401
+from oceaninv.foundation import former_names, spectrum, tables  # noqa: F401
 from oceaninv.foundation.provenance import version as _version
 from oceaninv.foundation.interface_optics import Rays
 from oceaninv.mie import media, particles
+from oceaninv.rendering.display import show
 from oceaninv.scene import (
     Box, Camera, CardioidalSky, FlatSurface, Floor, HeightField, Light, PointLamp, RangeMap, Scene,
     SceneFile, Sensor, Sphere, SpotLamp, TabulatedSky, camera, light, load_scene, objects,
@@ -36,5 +36,5 @@ __all__ = [
     "attenuation", "bio_optics", "camera", "disc_transmission", "energy_budget",
     "gutierrez2008", "inelastic", "iops", "irradiance", "jerlov", "light", "load_scene", "media",
     "mie", "mitsuba", "objects", "optics", "particles", "phase", "photograph", "plan", "radiance",
-    "range_map", "scene_file", "spectrum", "tables",
+    "range_map", "scene_file", "show", "spectrum", "tables",
     "target_transmission", "transport", "water", "waves"]

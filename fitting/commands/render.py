@@ -21,8 +21,13 @@ def render_command(
         ),
     ],
     transport: Annotated[
-        str, typer.Option(help="One of " + ", ".join(TRANSPORTS) + ".", rich_help_panel="Model")
-    ] = "two-stream",
+        str | None,
+        typer.Option(
+            help="One of " + ", ".join(TRANSPORTS) + "; without it two-stream, and plane-parallel "
+            "for layers and inelastic light.",
+            rich_help_panel="Model",
+        ),
+    ] = None,
     seed: Annotated[
         int, typer.Option(help="Of the sensor's noise and of monte-carlo.", rich_help_panel="Model")
     ] = 0,
@@ -45,6 +50,16 @@ def render_command(
     linear: Annotated[
         bool, typer.Option("--linear", help="PNG of 16 bits, linear.", rich_help_panel="Output")
     ] = False,
+    white_balance: Annotated[
+        str | None,
+        typer.Option(
+            metavar="surface|depth|none|COLUMN,ROW",
+            help="Of an sRGB .png: what looks grey, a card in the light above the surface, in that "
+            "which comes down at the camera's depth (the default, surface where lamps shine), or "
+            "as seen at a pixel (from 0, top left).",
+            rich_help_panel="Output",
+        ),
+    ] = None,
     animate: Annotated[
         int | None,
         typer.Option(
@@ -82,11 +97,14 @@ def render_command(
         raise ValueError(f"--bands is {bands}; at least 2 are needed.")
     if steps < 1 or paths < 1:
         raise ValueError(f"--steps {steps} and --paths {paths} must be at least 1.")
+    balance = _white_balance(white_balance)
     if animate is not None and animate < 2:
         raise ValueError(f"--animate is {animate}; it must be at least 2 frames.")
     found = load_scene(path, bands=bands)
     if width is not None:
         found = dataclasses.replace(found, camera=_resized(found.camera, width))
+    if transport is None:
+        transport = _default_transport(found.scene)
     model = _transport(transport, found, steps, paths)
     rise = (0.0 if seconds else 1.0) if rise is None else rise
     frames = [(output, found)]
@@ -113,10 +131,19 @@ def render_command(
                 linear=linear,
                 spectral=spectral,
                 seed=seed + i,
+                white_balance=balance,
                 overwrite=overwrite,
             )
     names = str(output) if animate is None else f"{frames[0][0]} ... {frames[-1][0].name}"
     print(f"wrote {names}: {found.camera.width} x {found.camera.height}, {transport}")
+
+
+def _default_transport(scene) -> str:
+    """The fastest that solves the scene."""
+    from oceaninv import Layers
+
+    exact = isinstance(scene.water, Layers) or scene.inelastic is not None
+    return "plane-parallel" if exact else "two-stream"
 
 
 def _transport(name: str, found, steps: int, paths: int):
@@ -130,6 +157,20 @@ def _transport(name: str, found, steps: int, paths: int):
     scene = found.scene
     waves = scene.surface is not None and scene.surface.waves is not None
     return oi.WithObjects(base, steps) if scene.objects or scene.lamps or waves else base
+
+
+def _white_balance(text: str | None) -> str | tuple[int, int] | None:
+    from oceaninv.rendering.display import WHITE_BALANCES
+
+    if text is None or text in WHITE_BALANCES:
+        return text
+    parts = text.split(",")
+    if len(parts) != 2 or not all(part.strip().isdecimal() for part in parts):
+        raise ValueError(
+            f"--white-balance is {text!r}; it must be {', '.join(WHITE_BALANCES)} or the column "
+            "and row of a pixel, such as 120,80."
+        )
+    return int(parts[0]), int(parts[1])
 
 
 def _resized(camera, width: int):

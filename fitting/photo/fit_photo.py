@@ -32,7 +32,7 @@ from fitting.water_model.scene_of_fit import scene_at
 from oceaninv.fidelity.planning import model_label
 from oceaninv.foundation.argument_names import names_checked
 from oceaninv.foundation.double_precision import in_double_precision
-from oceaninv.transport.base import AbstractTransport
+from oceaninv.transport.base import AbstractTransport, check_transport
 
 # Ancillary values: (value, standard deviation) by the name of a parameter or scalar quantity.
 Known = Mapping[str, tuple[float, float]]
@@ -226,6 +226,8 @@ def fit_photo(
     if starts < 1:
         raise ValueError(f"starts is {starts}; give 1 or more.")
     check_solver(solver)
+    if transport is not None:
+        check_transport(transport)
 
     def solve(model, start, correction=None):
         parameters, problem = posterior_of(photos, model, priors, matrix, sunlight, know, robust)

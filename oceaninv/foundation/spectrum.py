@@ -312,16 +312,86 @@ def daylight_table() -> tuple[Float[np.ndarray, " wl"], Float[np.ndarray, " wl"]
 
 
 def to_srgb(xyz: ArrayLike) -> Float[np.ndarray, "*image 3"]:
-    """sRGB for display: XYZ (..., 3) with Y = 1 for white, encoded and clipped to 0-1.
+    """sRGB for display, encoded, between 0 and 1: XYZ (..., 3) with Y = 1 for white.
+
+    A colour beyond the gamut of sRGB keeps its lightness and hue in Oklab; its chroma is reduced
+    to the largest that sRGB can show (found to 1e-6 of itself). What is lighter than white becomes
+    white, and what is darker than black becomes black. Colours within the gamut do not change.
 
     The white of sRGB is D65, so nothing is adapted. Concrete numbers only; not differentiable.
 
+    Source: IEC 61966-2-1:1999 and Ottosson 2020 (Oklab), through colour-science; the mapping is
+    that of chroma in CSS Color 4, section 13.2, without its steps that clip.
+
+    >>> to_srgb([0.2, 0.4, 0.6]).round(2)  # clipped, its red would be 0
+    array([0.  , 0.73, 0.71])
+    """
+    colour, linear = _colour(), linear_srgb(xyz)
+    beyond = _beyond(linear)
+    if np.any(beyond):
+        xyz = np.asarray(xyz, dtype=np.float64)
+        linear[beyond] = _less_chroma(xyz[beyond])
+    return np.clip(colour.models.eotf_inverse_sRGB(np.clip(linear, 0.0, 1.0)), 0.0, 1.0)
+
+
+def outside_srgb(xyz: ArrayLike) -> np.ndarray:
+    """Which colours, XYZ (..., 3) with Y = 1 for white, sRGB cannot show.
+
+    >>> outside_srgb([[0.4, 0.4, 0.4], [0.2, 0.4, 0.6]])
+    array([False,  True])
+    """
+    return _beyond(linear_srgb(xyz))
+
+
+def adaptation(white: ArrayLike, wanted: ArrayLike) -> Float[np.ndarray, "3 3"]:
+    """Matrix that turns XYZ seen under one white into XYZ under another, by cone responses.
+
+    Source: CAT16 of Li et al. 2017, through colour-science.
+
+    >>> (adaptation([0.5, 1.0, 2.0], [0.95, 1.0, 1.09]) @ [0.5, 1.0, 2.0]).round(2)
+    array([0.95, 1.  , 1.09])
+    """
+    return _colour().adaptation.matrix_chromatic_adaptation_VonKries(
+        np.asarray(white, float), np.asarray(wanted, float), transform="CAT16"
+    )
+
+
+_EDGE = 1e-6  # what linear sRGB may exceed 0 and 1 by
+
+
+def _beyond(linear: np.ndarray) -> np.ndarray:
+    return np.asarray(np.any((linear < -_EDGE) | (linear > 1 + _EDGE), axis=-1))
+
+
+def linear_srgb(xyz: ArrayLike) -> Float[np.ndarray, "*image 3"]:
+    """Linear sRGB of XYZ (..., 3), not clipped: negative where the gamut does not reach.
+
     Source: IEC 61966-2-1:1999, through colour-science.
+
+    >>> linear_srgb([0.2, 0.4, 0.6]).round(2)
+    array([-0.27,  0.58,  0.56])
     """
     xyz = np.asarray(xyz, dtype=np.float64)
     if xyz.ndim == 0 or xyz.shape[-1] != 3:
         raise ValueError(f"xyz must end in an axis of 3 (X, Y, Z), but has shape {xyz.shape}.")
-    return np.clip(_colour().XYZ_to_sRGB(xyz), 0.0, 1.0)
+    return _colour().XYZ_to_sRGB(xyz, apply_cctf_encoding=False)
+
+
+def _less_chroma(xyz: Float[np.ndarray, "pixel 3"]) -> Float[np.ndarray, "pixel 3"]:
+    """Linear sRGB of the largest share of a colour's chroma that lies within the gamut."""
+    colour = _colour()
+    lab = colour.XYZ_to_Oklab(xyz)
+    lightness, chroma = np.clip(lab[:, :1], 0.0, 1.0), lab[:, 1:]
+
+    def at(share):
+        return linear_srgb(colour.Oklab_to_XYZ(np.hstack([lightness, share[:, None] * chroma])))
+
+    low, high = np.zeros(len(lab)), np.ones(len(lab))
+    for _ in range(20):
+        middle = 0.5 * (low + high)
+        beyond = _beyond(at(middle))
+        low, high = np.where(beyond, low, middle), np.where(beyond, middle, high)
+    return at(low)
 
 
 def colour_checker(patch: str, wavelength: tables.Wavelengths) -> Float[np.ndarray, " wl"]:

@@ -11,13 +11,15 @@ import jax.numpy as jnp
 import numpy as np
 
 from oceaninv.fidelity.planning import expected_error
-from oceaninv.foundation import provenance, spectrum
+from oceaninv.foundation import provenance
 from oceaninv.foundation.interface_optics import Rays
+from oceaninv.rendering import display
 from oceaninv.rendering.image_writer import write_image
 from oceaninv.scene import objects
 from oceaninv.scene.scene import Scene
 from oceaninv.scene.scene_file import SceneFile
 from oceaninv.transport.base import AbstractTransport
+from oceaninv.transport.closed_form.kd import KdTransport
 from oceaninv.transport.front import check_ranges, check_rays, radiance
 from oceaninv.transport.objects.range_map_radiance import ranged_radiance
 
@@ -128,37 +130,20 @@ def channels(found: SceneFile, radiance: np.ndarray) -> np.ndarray:
     return radiance @ np.asarray(response.smooth_weights(wavelength, found.fine_light)).T
 
 
-def display_matrix(response: spectrum.Response) -> np.ndarray:
-    """Matrix from channels to XYZ: exact for the standard observer, otherwise the best fit to the
-    patches of a ColorChecker in daylight."""
-    if response.channels == ("X", "Y", "Z"):
-        return np.eye(3)
-    grid = np.arange(400.0, 701.0, 10.0)
-    names = ("dark skin", "light skin", "blue sky", "foliage", "blue flower", "bluish green",
-             "orange", "purplish blue", "moderate red", "purple", "yellow green", "orange yellow",
-             "blue", "green", "red", "yellow", "magenta", "cyan", "white", "neutral 5")  # fmt: skip
-    light = spectrum.daylight(grid)
-    patches = np.stack([light * spectrum.colour_checker(name, grid) for name in names])
-    seen = patches @ np.asarray(response.weights(grid)).T
-    wanted = patches @ np.asarray(spectrum.cie_1931().weights(grid)).T
-    return np.linalg.lstsq(seen, wanted, rcond=None)[0].T
-
-
-def to_display(found: SceneFile, values: np.ndarray) -> np.ndarray:
-    """sRGB in [0, 1] for display, from linear channel values.
-
-    The file's exposure, or one that brings the 99th percentile of the brightest primary to 0.85.
-    Cameras of other than three channels show their first as grey.
-    """
-    if values.shape[-1] != 3:
-        grey = values[..., :1] / max(np.percentile(values[..., 0], 99), 1e-30)
-        return np.clip(np.repeat(grey, 3, axis=-1), 0, 1) ** (1 / 2.2)
-    xyz = values @ display_matrix(found.camera.response).T
+def to_display(
+    found: SceneFile, values: np.ndarray, white_balance: str | tuple[int, int] | None = None
+) -> display.Shown:
+    """What `oi.show` draws of linear channel values, by the file's exposure if it states one."""
     exposure = found.sensor.exposure
-    if exposure is not None:
-        return spectrum.to_srgb(float(exposure) * xyz)
-    brightest = np.percentile(np.max(xyz @ _linear_srgb().T, axis=-1), 99)
-    return spectrum.to_srgb(0.85 / max(brightest, 1e-30) * xyz)
+    return display.shown(
+        values,
+        found.scene,
+        found.camera,
+        white_balance=white_balance,
+        exposure=None if exposure is None else float(exposure),
+        fine_light=found.fine_light,
+        base=None if found.kd is None else KdTransport(found.kd),
+    )
 
 
 def _linear_srgb() -> np.ndarray:
@@ -219,6 +204,7 @@ def save(
     linear: bool,
     spectral: bool,
     seed: int = 0,
+    white_balance: str | tuple[int, int] | None = None,
     overwrite: bool = False,
 ) -> None:
     """Write a picture whole or not at all, by the ending of its name.
@@ -228,7 +214,8 @@ def save(
       `veil.*` (light of the water), `range` in m; or, `spectral`, the spectral radiance `S0.<nm>nm`
       with `veil` and `range`.
     - `.tif`, and `.png` when `linear`: 16 bits, linear, as the sensor reports.
-    - `.png`: 8 bits, sRGB, for looking at.
+    - `.png`: 8 bits, sRGB, for looking at, with this white balance; see `display.show`.  The
+      metadata say under `display` how it came about.
     """
     kind = path.suffix.lower()
     if kind == ".exr":
@@ -240,7 +227,9 @@ def save(
             exposed = found.sensor.expose(jnp.asarray(linear_values), jax.random.key(seed))
             values, bits = np.asarray(exposed), "uint16"
         else:
-            values, bits = to_display(found, linear_values), "uint8"
+            developed = to_display(found, linear_values, white_balance)
+            values, bits = developed.srgb, "uint8"
+            note = {**note, "display": dict(developed.facts)}
         names = ["R", "G", "B"] if values.shape[-1] == 3 else list(found.camera.response.channels)
     else:
         raise ValueError(f"cannot write {path}: name a file that ends in .exr, .tif or .png.")

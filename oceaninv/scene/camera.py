@@ -10,7 +10,7 @@ from jaxtyping import Array, Float, Key
 from oceaninv.foundation.interface_optics import Rays
 from oceaninv.foundation.numerics import safe_sqrt
 from oceaninv.foundation.spectrum import Response
-from oceaninv.water.iops import check_concrete
+from oceaninv.water.iops import check_concrete, check_scalar
 
 
 class Camera(eqx.Module):
@@ -18,7 +18,8 @@ class Camera(eqx.Module):
 
     **Arguments:**
 
-    - `position`: (3,) metres; x and y horizontal, z the depth.
+    - `position`: (3,) metres; x and y horizontal, z the depth.  Seen along +y with the surface up,
+      +x is to the left.
     - `direction`: (3,) the way it looks; need not be of unit length.
     - `up`: (3,) which way is up in the picture, for instance (0, 0, -1); not along `direction`.
     - `fov`: full horizontal field of view in the water, degrees, 0 < fov < 180.
@@ -39,7 +40,14 @@ class Camera(eqx.Module):
     port_index: Float[Array, ""] | None
 
     def __init__(self, position, direction, up, fov, width, height, response, port_index=None):
+        check_scalar("fov", fov)
         check_concrete("fov", fov, 1e-3, 179.0)
+        for name, vector in (("position", position), ("direction", direction), ("up", up)):
+            if np.shape(vector) != (3,):
+                raise ValueError(
+                    f"{name} must be three numbers, not of shape {np.shape(vector)}: x, y and the "
+                    "depth z, downwards."
+                )
         if port_index is not None:
             check_concrete("port_index", port_index, 1.0, 2.0)
         if int(width) < 1 or int(height) < 1:
@@ -91,8 +99,9 @@ class Sensor(eqx.Module):
 
     **Arguments:**
 
-    - `exposure`: factor on the channel values; `None` brings the 99th percentile of the brightest
-      channel to 0.9.
+    - `exposure`: factor on the channel values; `None` brings the 99th percentile (the lower of
+      the two ranks about it, so that the brightest pixel never counts) of the brightest channel to
+      0.9.
     - `full_well`: electrons at value 1, which set the photon noise; `None`: none.
     - `read_noise`: standard deviation of every pixel, electrons; needs `full_well`.
     - `bits`: of the analogue-to-digital converter; `None`: not rounded.
@@ -145,5 +154,6 @@ class Sensor(eqx.Module):
     def _factor(self, values) -> Float[Array, ""]:
         if self.exposure is not None:
             return self.exposure.astype(values.dtype)
-        bright = jnp.max(jnp.percentile(values, jnp.asarray(99.0, values.dtype), axis=(0, 1)))
+        share = jnp.asarray(99.0, values.dtype)
+        bright = jnp.max(jnp.percentile(values, share, axis=(0, 1), method="lower"))
         return 0.9 / jnp.where(bright > 0, bright, 1.0)

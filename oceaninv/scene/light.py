@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from oceaninv.foundation import tables
-from oceaninv.water.iops import check_concrete
+from oceaninv.water.iops import check_concrete, check_scalar
 
 
 class AbstractSky(eqx.Module):
@@ -87,9 +87,15 @@ class Light(eqx.Module):
         if sky is not None and diffuse is None:
             raise ValueError("a sky needs diffuse, the radiance of the uniform sky as bright.")
         self.sky = sky
+        check_scalar("zenith", zenith)
         check_concrete("zenith", zenith, 0.0, 89.9)
         check_concrete("direct", direct)
         self.direct = jnp.asarray(direct)
+        if self.direct.ndim != 1:
+            raise ValueError(
+                "direct must hold one value per wavelength, shape (wl,), not shape "
+                f"{self.direct.shape}."
+            )
         self.zenith = jnp.asarray(zenith, dtype=self.direct.dtype)
         if diffuse is not None:
             check_concrete("diffuse", diffuse)
@@ -141,7 +147,10 @@ def clear_sky(
         from pvlib.atmosphere import get_relative_airmass
         from pvlib.spectrum import spectrl2
     except ImportError:
-        raise ImportError('a clear sky needs pvlib: pip install "oceaninv[sky]".') from None
+        raise ImportError(
+            "a clear sky needs pvlib: pip install pvlib, or give the light another spectrum, for "
+            "instance D65."
+        ) from None
 
     found = spectrl2(
         apparent_zenith=float(zenith),

@@ -1,5 +1,7 @@
 """A scene: water, light, surface, floor and objects.  A term that is None does not exist."""
 
+from collections.abc import Iterable
+
 import equinox as eqx
 import jax.core
 import jax.numpy as jnp
@@ -11,7 +13,7 @@ from oceaninv.scene.light import AbstractLamp, Light
 from oceaninv.scene.objects import AbstractObject
 from oceaninv.scene.waves import Waves
 from oceaninv.water.inelastic import Inelastic
-from oceaninv.water.iops import IOPs, Layers, check_concrete
+from oceaninv.water.iops import IOPs, Layers, check_concrete, check_scalar
 
 
 class FlatSurface(eqx.Module):
@@ -25,6 +27,7 @@ class FlatSurface(eqx.Module):
     waves: Waves | None
 
     def __init__(self, index=1.34, waves=None):
+        check_scalar("index", index)
         check_concrete("index", index, 1.0, 2.0)
         self.waves = waves
         self.index = jnp.asarray(index, dtype=jnp.result_type(float, index))
@@ -43,10 +46,31 @@ class Floor(eqx.Module):
     reflectance: Float[Array, " wl"]
 
     def __init__(self, depth, reflectance):
+        check_scalar("depth", depth)
         check_concrete("depth", depth, float(np.finfo(np.float32).tiny))
         check_concrete("reflectance", reflectance, 0.0, 1.0)
         self.reflectance = jnp.asarray(reflectance)
         self.depth = jnp.asarray(depth, dtype=self.reflectance.dtype)
+
+
+def _each(things) -> tuple:
+    return tuple(things) if isinstance(things, Iterable) else (things,)
+
+
+def _check_types(*arguments) -> None:
+    """ValueError for an argument of another kind, such as one that was swapped with its neighbour;
+    each is (name, value, kinds)."""
+    for name, value, kinds in arguments:
+        if isinstance(value, kinds):
+            continue
+        wanted = " or ".join("None" if kind is type(None) else kind.__name__ for kind in kinds)
+        wanted = {"AbstractObject": "a Sphere, Box or HeightField",
+                  "AbstractLamp": "a PointLamp or SpotLamp"}.get(wanted, wanted)  # fmt: skip
+        came = f"the class {value.__name__}" if isinstance(value, type) else type(value).__name__
+        raise ValueError(
+            f"{name} must be {wanted}, but came as {came}; the order is Scene(water, light, "
+            "surface, floor, objects, lamps, inelastic)."
+        )
 
 
 class Scene(eqx.Module):
@@ -63,7 +87,7 @@ class Scene(eqx.Module):
     - `inelastic`: `Inelastic` processes, or `None`.
 
     Spectra whose length differs from the water's wavelengths raise ValueError, as do objects and
-    lamps out of the water.
+    lamps out of the water and arguments of another kind.
     """
 
     water: IOPs | Layers
@@ -77,8 +101,17 @@ class Scene(eqx.Module):
     def __init__(
         self, water, light, surface=None, floor=None, objects=(), lamps=(), inelastic=None
     ):
+        objects, lamps = _each(objects), _each(lamps)
+        _check_types(
+            ("water", water, (IOPs, Layers)),
+            ("light", light, (Light,)),
+            ("surface", surface, (FlatSurface, type(None))),
+            ("floor", floor, (Floor, type(None))),
+            *((f"objects[{i}]", thing, (AbstractObject,)) for i, thing in enumerate(objects)),
+            *((f"lamps[{i}]", lamp, (AbstractLamp,)) for i, lamp in enumerate(lamps)),
+            ("inelastic", inelastic, (Inelastic, type(None))),
+        )
         n = len(water.wavelength)
-        objects, lamps = tuple(objects), tuple(lamps)
         for name, value in (
             ("light.direct", light.direct),
             ("floor.reflectance", None if floor is None else floor.reflectance),

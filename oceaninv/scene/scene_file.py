@@ -17,6 +17,8 @@ from oceaninv.scene.range_map import RangeMap, colour_parts
 from oceaninv.scene.scene import FlatSurface, Floor, Scene
 from oceaninv.scene.scene_file_water import read_water
 from oceaninv.scene.waves import Waves, random_waves
+from oceaninv.water.inelastic import CDOMFluorescence, ChlorophyllFluorescence, Inelastic, Raman
+from oceaninv.water.iops import IOPs, Layers
 
 _NO_LIMIT = 1e30
 
@@ -71,6 +73,10 @@ def load_scene(path: str | Path, *, bands: int | None = None) -> SceneFile:
         with _naming(path, "floor"):
             floor = Floor(table.number("depth_m", 1e-3, 1e4), _reflectance(table, wavelength))
         table.finish()
+    inelastic = None
+    if file.has("inelastic"):
+        with _naming(path, "inelastic"):
+            inelastic = _inelastic(file.section("inelastic"), water)
     turn = _Turn(azimuth)
     with _naming(path, "objects"):
         objects = [_object(table, wavelength, turn) for table in file.sections("objects")]
@@ -94,15 +100,18 @@ def load_scene(path: str | Path, *, bands: int | None = None) -> SceneFile:
     if file.has("range_map"):
         with _naming(path, "range_map"):
             ranges = _ranges(file.section("range_map"), wavelength)
-        if objects or lamps or (surface is not None and surface.waves is not None):
+        waves = surface is not None and surface.waves is not None
+        if objects or lamps or waves or inelastic is not None:
             raise ValueError(
                 f"{path}: a range_map holds all things that are seen: it goes without objects,"
-                " lamps and waves."
+                " lamps, waves and inelastic."
             )
     file.finish()
     with _naming(path):
-        scene = Scene(water, light, surface, floor, objects, lamps)
-    fine_light = spectrum.daylight_table() if day and not lamps else None
+        scene = Scene(water, light, surface, floor, objects, lamps, inelastic)
+    # Light that changed its wavelength has lost the structure of daylight.
+    smooth = not day or lamps or inelastic is not None
+    fine_light = None if smooth else spectrum.daylight_table()
     return SceneFile(scene, camera, sensor, kd, title, fine_light, ranges, tuple(file.files))
 
 
@@ -212,6 +221,26 @@ def _reflectance(table: Section, wavelength: np.ndarray) -> jnp.ndarray:
         low, high = result.min(), result.max()
         raise table.error("reflectance", value, f"between 0 and 1, not {low:g} to {high:g}")
     return jnp.asarray(result)
+
+
+def _inelastic(table: Section, water: IOPs | Layers) -> Inelastic:
+    """The processes of a section; ValueError where the water lacks what they need."""
+    quantum_yield = table.number("chlorophyll_quantum_yield", 0.0, 1.0, 0.02)
+    found = Inelastic(
+        Raman() if table.flag("raman") else None,
+        ChlorophyllFluorescence(quantum_yield) if table.flag("chlorophyll_fluorescence") else None,
+        CDOMFluorescence() if table.flag("cdom_fluorescence") else None,
+    )
+    table.finish()
+    if not found.terms:
+        raise ValueError(
+            "no process is on: set raman, chlorophyll_fluorescence or cdom_fluorescence to true, "
+            "or leave the table out."
+        )
+    for iops in water.iops if isinstance(water, Layers) else (water,):
+        for term in found.terms:
+            term.coefficient(iops)
+    return found
 
 
 def _object(table: Section, wavelength: np.ndarray, turn: _Turn) -> AbstractObject:

@@ -46,7 +46,10 @@ class Irradiance(eqx.Module):
 def homogeneous(scene: Scene) -> IOPs:
     """The water of a scene that has only one; ValueError for `Layers`."""
     if not isinstance(scene.water, IOPs):
-        raise ValueError("this closed form solves one homogeneous water, not Layers.")
+        raise ValueError(
+            "this closed form solves one homogeneous water, not Layers: take PlaneParallel or "
+            "MonteCarlo (on the command line --transport plane-parallel)."
+        )
     return scene.water
 
 
@@ -85,3 +88,20 @@ def inelastic_orders_of(inelastic_orders: int, generations: int | None) -> int:
         return inelastic_orders
     warnings.warn("generations is now inelastic_orders.", DeprecationWarning, stacklevel=5)
     return generations
+
+
+def check_transport(transport) -> None:
+    """ValueError for what is no transport, such as its class."""
+    if isinstance(transport, type):
+        raise ValueError(
+            f"transport is the class {transport.__name__}: write {transport.__name__}(), with its "
+            "arguments where it has any."
+        )
+    if not isinstance(transport, AbstractTransport):
+        raise ValueError(
+            f"transport is {transport!r:.80}; it must be a model such as oi.TwoStream() or "
+            "oi.PlaneParallel(16)."
+        )
+    base = getattr(transport, "base", None)
+    if base is not None:
+        check_transport(base)

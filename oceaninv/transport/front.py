@@ -1,5 +1,7 @@
 """The front ends, which check the input and call any transport on any scene."""
 
+import dataclasses
+
 import equinox as eqx
 import jax
 import jax.core
@@ -12,10 +14,17 @@ from oceaninv.foundation.interface_optics import Rays
 from oceaninv.scene.camera import Camera
 from oceaninv.scene.range_map import RangeMap
 from oceaninv.scene.scene import Scene
-from oceaninv.transport.base import AbstractTransport, Estimate, Irradiance, homogeneous
+from oceaninv.transport.base import (
+    AbstractTransport,
+    Estimate,
+    Irradiance,
+    check_transport,
+    homogeneous,
+)
 from oceaninv.transport.closed_form.two_stream import TwoStream
 from oceaninv.transport.objects.range_map_radiance import ranged_radiance
 from oceaninv.transport.objects.shadows import WithObjects
+from oceaninv.water.iops import IOPs, Layers
 
 
 def radiance(
@@ -107,11 +116,12 @@ def photograph(
         check_ranges(scene, ranges)
         seen = ranges.seen_by(camera)
         base = TwoStream() if transport is None else transport
+        check_transport(base)
         estimate = ranged_radiance(scene, camera.rays(), seen, ranges.reflectance, base, key)
         return _channels(camera, weights, estimate)
     if scene.surface is not None and scene.surface.waves is not None:
         check_rays(scene, camera.rays())
-    return _photograph(scene, camera, weights, _able(scene, transport), key)
+    return _photograph(_numbered(scene), camera, weights, _able(scene, transport), key)
 
 
 def check_ranges(scene: Scene, ranges: RangeMap) -> None:
@@ -169,10 +179,32 @@ def _photograph(scene: Scene, camera: Camera, weights, transport, key) -> Estima
     return Estimate(*(v.reshape(shape) for v in found))
 
 
+def _numbered(scene: Scene) -> Scene:
+    """The scene with bands that are numbered 1, 2, ...
+
+    Wavelengths are part of the key of a compiled program, but only inelastic processes use them:
+    so scenes that differ in them share a program."""
+    if scene.inelastic is not None:
+        return scene
+    number = np.arange(1.0, len(scene.wavelength) + 1)
+
+    def water(old: IOPs) -> IOPs:
+        parts = (old.a_components, old.b_components, old.phases, old.absorbers, old.scatterers)
+        return IOPs(number, *parts)
+
+    old = scene.water
+    if isinstance(old, IOPs):
+        return dataclasses.replace(scene, water=water(old))
+    return dataclasses.replace(
+        scene, water=Layers(old.interfaces, tuple(water(iops) for iops in old.iops))
+    )
+
+
 def _able(scene: Scene, transport: AbstractTransport | None) -> AbstractTransport:
     """The transport, `TwoStream()` by default, with objects and lamps added where needed;
     ValueError for a scene that it does not solve."""
     transport = TwoStream() if transport is None else transport
+    check_transport(transport)
     field = transport.base if isinstance(transport, WithObjects) else transport
     if scene.inelastic is not None and not field.inelastic:
         raise ValueError(

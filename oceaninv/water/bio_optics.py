@@ -1,9 +1,10 @@
 """Bio-optical models: from dissolved and suspended constituents to inherent optical properties."""
 
 import abc
+import difflib
 import functools
 import warnings
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import equinox as eqx
 import jax
@@ -14,7 +15,7 @@ from jaxtyping import Array, Float, ScalarLike
 from oceaninv.foundation import tables
 from oceaninv.foundation.numerics import safe_power
 from oceaninv.water import pure_water
-from oceaninv.water.iops import IOPs, check_concrete
+from oceaninv.water.iops import IOPs, check_concrete, check_scalar
 from oceaninv.water.phase import (
     AbstractPhase,
     FournierForand,
@@ -37,7 +38,10 @@ class Constituents(eqx.Module):
     - `minerals`: suspended minerals, g/m3.
     - further constituents by name, for models that have them.
 
-    Negative concrete amounts raise ValueError.
+    Negative concrete amounts, vectors and misspelt names raise ValueError.
+
+    >>> float(Constituents(chlorophyll=2.0, cdom=0.1).chlorophyll)
+    2.0
     """
 
     amounts: dict[str, Float[Array, ""]]
@@ -50,8 +54,10 @@ class Constituents(eqx.Module):
             "minerals": minerals,
             **others,
         }
+        _check_spelling(others)
         present = {name: value for name, value in named.items() if value is not None}
         for name, value in present.items():
+            check_scalar(name, value)
             check_concrete(name, value)
         self.amounts = {
             name: jnp.asarray(value, dtype=jnp.result_type(float, value))
@@ -60,6 +66,30 @@ class Constituents(eqx.Module):
 
     def __getitem__(self, name: str) -> Float[Array, ""]:
         return self.amounts[name]
+
+    def __getattr__(self, name: str) -> Float[Array, ""]:
+        """The amount of a constituent; AttributeError where the water holds none."""
+        # Asked for what is no field: while a copy is being made, "amounts" may not be there yet.
+        amounts = self.__dict__.get("amounts", {})
+        if name in amounts:
+            return amounts[name]
+        held = ", ".join(amounts) or "none"
+        raise AttributeError(f"these Constituents hold no {name!r}; they hold {held}.")
+
+
+def _check_spelling(names: Iterable[str]) -> None:
+    """ValueError for names that look like one of the four and are not."""
+    known = ("chlorophyll", "cdom", "detritus", "minerals")
+    for name in names:
+        plain = name.lower()
+        short = [entry for entry in known if entry.startswith(plain)]
+        near = short or difflib.get_close_matches(plain, known, cutoff=0.75)
+        # "detritus_2" may be a constituent of its own.
+        if near and (plain in known or near[0] not in plain):
+            raise ValueError(
+                f"constituent {name!r} is unknown. Near it: {near[0]}. A constituent of your own "
+                "needs a name that differs more."
+            )
 
 
 _SHAPES = (0.004, 0.05)

@@ -1,5 +1,7 @@
 """Inherent optical properties of water, which do not depend on the light field."""
 
+from collections.abc import Iterable
+
 import equinox as eqx
 import jax.core
 import jax.numpy as jnp
@@ -23,6 +25,15 @@ def check_concrete(name: str, value, low: float = 0.0, high: float = np.inf) -> 
         raise ValueError(
             f"{name} must be finite and {wanted}; {int(bad.sum())} of {array.size} values are not "
             f"(the first is {first:g})."
+        )
+
+
+def check_scalar(name: str, value) -> None:
+    """ValueError unless `value`, traced or not, is one number."""
+    if np.ndim(value):
+        raise ValueError(
+            f"{name} must be one number, not an array of shape {np.shape(value)}: for many, build "
+            "them one by one or inside jax.vmap."
         )
 
 
@@ -150,8 +161,15 @@ class Layers(eqx.Module):
     iops: tuple[IOPs, ...]
 
     def __init__(self, interfaces, iops):
+        several = isinstance(iops, Iterable)
+        iops = tuple(iops) if several else ()
+        if not several or not all(isinstance(water, IOPs) for water in iops):
+            raise ValueError(
+                "iops must be a sequence of IOPs, one for each layer from the surface down: "
+                "Layers(interfaces, iops), first the depths, then the waters."
+            )
         self.interfaces = jnp.asarray(interfaces)
-        self.iops = tuple(iops)
+        self.iops = iops
         if self.interfaces.ndim != 1 or len(self.iops) != self.interfaces.shape[0] + 1:
             raise ValueError(
                 f"interfaces must have one entry fewer than iops: got shape "

@@ -25,7 +25,7 @@ import numpy as np  # noqa: E402
 from scipy.optimize import minimize  # noqa: E402
 
 import oceaninv as oi  # noqa: E402
-from oceaninv.rendering.render import display_matrix  # noqa: E402
+from oceaninv.rendering.display import display_matrix  # noqa: E402
 from tests.acceptance.camera_bands import SCENE, names_of, read_responses  # noqa: E402
 
 SPANS = ((400.0, 650.0), (400.0, 700.0))

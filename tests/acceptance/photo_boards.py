@@ -137,8 +137,8 @@ def table(results: dict[str, dict[str, Row]], scenes: list[walked.WalkedScene]) 
     out = [
         "# Photo fits of boards of finite size\n",
         f"`python -m tests.acceptance.photo_boards`: {len(scenes)} walked scenes, {DRAWS} draws of "
-        f"{100 * NOISE:g} % noise each.  Shares of 95 % intervals that hold the truth; median errors "
-        "of the logarithm in standard deviations.\n",
+        f"{100 * NOISE:g} % noise each.  Shares of 95 % intervals that hold the truth; median "
+        "errors of the logarithm in standard deviations.\n",
         f"| {' | '.join(heads)} |",
         f"|{'---|' * len(heads)}",
     ]

@@ -82,21 +82,36 @@ class WithObjects(AbstractTransport):
         second = _line(scene, mirrored)
         endless = second._replace(length=jnp.full_like(second.length, ENDLESS))
 
-        def change(water, alone):
-            return self._seen(scene, second, water, light).value - alone.value
-
         if self.base.in_pieces:
-            # Cheap to compile again, and skipped for pieces of a picture without such rays.
-            whole = self._seen(scene, line, self._water(bare, line, key), light)
-            extra = _if_any(
-                free,
-                lambda: change(self._water(bare, second, key), self._water(bare, endless, key)),
-                whole.value,
+            # One program for all three, skipped for pieces of a picture without such rays.
+            sets = jax.tree.map(lambda *parts: jnp.stack(parts), line, second, endless)
+            wanted = jnp.stack([jnp.asarray(True), jnp.any(free), jnp.any(free)])
+            solid = jnp.asarray([True, True, False])
+
+            def one(item):
+                lines, wanted, solid = item
+                nothing = jnp.zeros_like(lines.hit.reflectance)
+                nothing = Estimate(nothing, nothing, nothing)
+
+                def seen():
+                    path = self._water(bare, lines, key)
+                    return self._seen(scene, lines, path, light, solid)
+
+                return jax.lax.cond(wanted, seen, lambda: nothing)
+
+            found = jax.lax.map(one, (sets, wanted, solid))
+            whole, image, alone = (
+                jax.tree.map(lambda v, i=i: v[i], found) for i in range(len(solid))
             )
+            extra = image.value - alone.value
         else:
-            water, *images = self._together(bare, (line, second, endless), key)
+            water, image, alone = self._together(bare, (line, second, endless), key)
             whole = self._seen(scene, line, water, light)
-            extra = _if_any(free, lambda: change(*images), whole.value)
+
+            def change():
+                return self._seen(scene, second, image, light).value - alone.value
+
+            extra = _if_any(free, change, whole.value)
         extra = jnp.where(free[:, None], share * extra, 0.0)
         return Estimate(whole.value + extra, whole.stderr, whole.bias)
 
@@ -128,12 +143,20 @@ class WithObjects(AbstractTransport):
             " depth alone where a scene holds objects or lamps: leave them out of the scene."
         )
 
-    def _seen(self, scene: Scene, line, path: Estimate, light) -> Estimate:
+    def _seen(self, scene: Scene, line, path: Estimate, light, solid=None) -> Estimate:
         """Radiance along lines of sight, without reflections in the surface, given the light of the
-        water along them and the light on objects."""
+        water along them and the light on objects.  `solid`: whether objects and lamps exist."""
+        zero = jnp.zeros_like(path.value)
+        if solid is None:
+            added = self._added(scene, line, light, zero)
+        else:
+            added = jax.lax.cond(solid, lambda: self._added(scene, line, light, zero), lambda: zero)
+        return Estimate(path.value + added, path.stderr, path.bias)
+
+    def _added(self, scene: Scene, line, light, value) -> Float[Array, "ray wl"]:
+        """What objects and lamps add to the light of the water along lines of sight."""
         rays, hit, met, length = line
         water = homogeneous(scene)
-        value = path.value
         floor = _to_floor(scene, rays)
         if floor is not None:
             on_floor = ~met & (rays.direction[:, 2] > 0) & (floor <= length)
@@ -156,7 +179,7 @@ class WithObjects(AbstractTransport):
             value = value + lamplight(
                 scene, rays, end, hit.normal, hit.reflectance, met, on_floor, through, self.steps
             )
-        return Estimate(value, path.stderr, path.bias)
+        return value
 
     def _light(
         self, scene: Scene, bare: Scene, key

@@ -207,15 +207,98 @@ def test_d65_white_is_srgb_white():
     np.testing.assert_allclose(white, [0.95047, 1.0, 1.08883], atol=2.3e-5)
 
 
-def test_srgb_is_encoded_and_clipped():
+def test_srgb_is_encoded_and_bounded():
     white = np.array([0.95047, 1.0, 1.08883])
     image = np.array([[0.0 * white, 0.18 * white], [4.0 * white, [0.0, 0.5, 0.0]]])
     got = spectrum.to_srgb(image)
     assert got.shape == (2, 2, 3)
     # 18 % grey is 0.4613 after the sRGB curve: 1.055 * 0.18^(1/2.4) - 0.055.
     np.testing.assert_allclose(got[0, 1], 1.055 * 0.18 ** (1 / 2.4) - 0.055, atol=1e-4)
-    np.testing.assert_allclose(got[1, 0], 1.0, atol=0)
-    assert got.min() == 0.0
+    np.testing.assert_allclose(got[1, 0], 1.0, atol=5e-4)
+    assert 0.0 <= got.min() < 1e-3
+
+
+# Ottosson 2020, from XYZ: written out again to judge the mapping by.
+_LMS = np.array(
+    [
+        [0.8189330101, 0.3618667424, -0.1288597137],
+        [0.0329845436, 0.9293118715, 0.0361456387],
+        [0.0482003018, 0.2643662691, 0.6338517070],
+    ]
+)
+_LAB = np.array(
+    [
+        [0.2104542553, 0.7936177850, -0.0040720468],
+        [1.9779984951, -2.4285922050, 0.4505937099],
+        [0.0259040371, 0.7827717662, -0.8086757660],
+    ]
+)
+_XYZ_OF_SRGB = np.array(
+    [[0.4124, 0.3576, 0.1805], [0.2126, 0.7152, 0.0722], [0.0193, 0.1192, 0.9505]]
+)
+
+
+def _decoded(srgb):
+    return np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)
+
+
+def _lightness_chroma_hue(linear):
+    lightness, a, b = (np.cbrt(linear @ _XYZ_OF_SRGB.T @ _LMS.T) @ _LAB.T).T
+    return lightness, np.hypot(a, b), np.arctan2(b, a)
+
+
+def _xyz_of(lightness, chroma, hue):
+    lab = np.stack([lightness, chroma * np.cos(hue), chroma * np.sin(hue)], axis=-1)
+    return (lab @ np.linalg.inv(_LAB).T) ** 3 @ np.linalg.inv(_LMS).T
+
+
+def test_colours_within_the_gamut_are_left_alone():
+    linear = np.random.default_rng(1).uniform(0, 1, (500, 3)) ** 3
+    xyz = linear @ _XYZ_OF_SRGB.T
+    # The standard's matrix and its rounded inverse differ by 3e-4.
+    inner = 0.01 + 0.98 * linear
+    assert not spectrum.outside_srgb(inner @ _XYZ_OF_SRGB.T).any()
+    np.testing.assert_allclose(_decoded(spectrum.to_srgb(xyz)), linear, atol=4e-4)
+    np.testing.assert_allclose(
+        spectrum.to_srgb(xyz),
+        np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055),
+        atol=0.6 / 255,
+    )
+
+
+def test_colours_beyond_the_gamut_keep_lightness_and_hue():
+    """They come to lie on its edge; all hues and lightnesses."""
+    generator = np.random.default_rng(2)
+    lightness, hue = generator.uniform(0.1, 0.95, 400), generator.uniform(-np.pi, np.pi, 400)
+    xyz = _xyz_of(lightness, 0.7 * lightness**0.5, hue)
+    assert spectrum.outside_srgb(xyz).all()
+    linear = _decoded(spectrum.to_srgb(xyz))
+    light, chroma, angle = _lightness_chroma_hue(linear)
+    np.testing.assert_allclose(light, lightness, atol=1e-3)
+    turned = np.abs((angle - hue + np.pi) % (2 * np.pi) - np.pi)
+    assert np.max(turned * chroma) < 1e-3
+    edge = np.minimum(linear.min(axis=1), 1 - linear.max(axis=1))
+    assert np.all(edge < 3e-4)
+    more = _xyz_of(light, chroma + 0.01, angle)
+    assert spectrum.outside_srgb(more).all()
+
+
+def test_the_mapping_never_lowers_the_larger_chroma():
+    """Along one hue, what is shown rises with the chroma up to the edge and then stays."""
+    chroma = np.linspace(0.0, 0.5, 101)
+    for hue in np.radians([20.0, 110.0, 145.0, 200.0, 230.0, 265.0, 330.0]):
+        xyz = _xyz_of(np.full_like(chroma, 0.6), chroma, np.full_like(chroma, hue))
+        shown = _lightness_chroma_hue(_decoded(spectrum.to_srgb(xyz)))[1]
+        assert np.all(np.diff(shown) > -3e-4)
+        beyond = spectrum.outside_srgb(xyz)
+        np.testing.assert_allclose(shown[~beyond], chroma[~beyond], atol=1e-3)
+        assert np.ptp(shown[beyond]) < 1e-3
+
+
+def test_lighter_than_white_and_darker_than_black():
+    white = np.array([0.95047, 1.0, 1.08883])
+    xyz = np.array([5.0 * white + [0.0, 0.0, 3.0], -0.1 * white])
+    np.testing.assert_allclose(spectrum.to_srgb(xyz), [[1, 1, 1], [0, 0, 0]], atol=1e-3)
 
 
 def test_observer_integrates_to_the_sums_of_the_published_functions():

@@ -13,7 +13,7 @@ import pytest
 
 import oceaninv as oi
 from fitting.commands import main as cli
-from oceaninv.rendering import render
+from oceaninv.rendering import display, render
 from tests.oceaninv.foundation.test_colmap_file import write_colmap
 
 TEXT = """
@@ -123,7 +123,7 @@ def test_pictures_for_the_eye_and_for_programs(tmp_path, drawn):
         assert json.loads(spec.getattribute("ImageDescription"))["title"] == "a ball"
         seen = render.channels(found, picture.radiance)
         expected = (
-            render.to_display(found, seen)
+            render.to_display(found, seen).srgb
             if kind == "uint8"
             else np.asarray(found.sensor.expose(jnp.asarray(seen)))
         )
@@ -138,8 +138,8 @@ def test_white_stays_white():
         if name not in oi.spectrum.camera_names():
             continue
         response = oi.spectrum.camera_response(name)
-        xyz = render.display_matrix(response) @ (np.asarray(response.weights(grid)) @ light)
-        rgb = render._linear_srgb() @ xyz
+        xyz = display.display_matrix(response) @ (np.asarray(response.weights(grid)) @ light)
+        rgb = oi.spectrum.linear_srgb(xyz)
         np.testing.assert_allclose(rgb / rgb[1], 1.0, atol=0.05)
 
 
@@ -154,6 +154,8 @@ def test_white_stays_white():
         ),
         (["-o", "x.png", "--bands", "1"], "--bands is 1"),
         (["-o", "x.png", "--width", "0"], "--width is 0"),
+        (["-o", "x.png", "--white-balance", "sun"], "--white-balance is 'sun'; it must be surface"),
+        (["-o", "x.png", "--white-balance", "9,0"], "pixel 9,0; the picture has the columns 0 to"),
         (["-o", "x.png", "--animate", "3", "--rise", "9"], "--rise is 9"),
         (["-o", "x.png", "--animate", "3", "--seconds", "1"], "no [surface.waves]"),
     ],
@@ -190,6 +192,27 @@ def test_bad_scenes(tmp_path, capsys, old, new, message):
     assert cli.run(["render", str(path), "-o", str(tmp_path / "x.png")]) == 3
     assert message in capsys.readouterr().err
     assert not (tmp_path / "x.png").exists()
+
+
+@pytest.mark.parametrize("kind", ["layers", pytest.param("inelastic", marks=pytest.mark.slow)])
+def test_default_transport(tmp_path, capsys, kind):
+    """Scenes that the closed forms do not solve are drawn by the exact model unless one is named,
+    and a closed form says which would do."""
+    text = TEXT[: TEXT.index("[[objects]]")] + TEXT[TEXT.index("[camera]") :]
+    if kind == "layers":
+        layer = '[[water.layers]]\njerlov_type = "IB"\n'
+        layers = layer + "bottom_m = 8.0\n" + layer.replace("IB", "III")
+        text = text.replace('[water]\njerlov_type = "IB"\n', layers)
+    else:
+        text = text.replace("[light]", "[inelastic]\nraman = true\n[light]")
+    path = tmp_path / "deep.toml"
+    path.write_text(text)
+    output = str(tmp_path / "x.png")
+    assert cli.run(["render", str(path), "-o", output]) == 0
+    assert "plane-parallel" in capsys.readouterr().out
+    output = str(tmp_path / "y.png")
+    assert cli.run(["render", str(path), "-o", output, "--transport", "two-stream"]) == 3
+    assert "PlaneParallel" in capsys.readouterr().err
 
 
 def test_unwritable_output(scene, tmp_path, capsys):
@@ -335,7 +358,7 @@ def test_range_map_by_exact_transports(ranged):
         ('"r.npz"', '"r.npz"\nm_per_unit = 0.0', "m_per_unit is 0.0"),
         ("r.npz", "below.npy", "must not be negative"),
         ("[range_map]", "[[lamps]]\nkind = 'point'\nposition_m = [0,0,1]\nintensity_w_sr_nm = 1\n"
-         "[range_map]", "without objects, lamps and waves"),
+         "[range_map]", "without objects, lamps, waves and inelastic"),
     ],
 )  # fmt: skip
 def test_range_map_refusals(ranged, capsys, old, new, message):

@@ -26,6 +26,14 @@ def test_rays():
     assert np.all(np.diff(looks[1, :, 1]) > 0)
 
 
+def test_axes_of_the_documentation():
+    """Seen along +y with the surface up, +x is to the left and +z, the depth, down."""
+    looks = np.asarray(_camera((0.0, 1.0, 0.0)).rays().direction).reshape(3, 5, 3)
+    assert np.all(looks[:, :2, 0] > 0)
+    assert np.all(looks[:, 3:, 0] < 0)
+    assert np.all(looks[2, :, 2] > 0)
+
+
 def test_field_of_view():
     """The outer pixel edges span the horizontal angle; pixels are square."""
     looks = np.asarray(_camera(fov=80.0, width=400, height=2).rays().direction).reshape(2, 400, 3)

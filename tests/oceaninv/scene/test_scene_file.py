@@ -1,5 +1,7 @@
 """Scene files: what they become, and a sentence for everything that is wrong with one."""
 
+import sys
+
 import jax
 import numpy as np
 import pytest
@@ -239,6 +241,13 @@ def test_water_from_kd(tmp_path):
             'sun_zenith_deg = 88\nspectrum = "clear sky"',
             "scene.toml: light: zenith must be .* between 0 and 85",
         ),
+        ("[floor]", "[inelastic]\n[floor]", "inelastic: no process is on: set raman, chlor"),
+        ("[floor]", "[inelastic]\nraman = 1\n[floor]", "inelastic.raman is 1; .* true or false"),
+        (
+            "[floor]",
+            "[inelastic]\ncdom_fluorescence = true\n[floor]",
+            "scene.toml: inelastic: fluorescence needs an absorber named 'cdom'",
+        ),
         ("[floor]", "[surface.waves]\nslope = 0.4\n[floor]", "surface.waves.slope is 0.4"),
         ("[floor]", "[surface.waves]\ntile_m = 1\n[floor]", "surface.waves: wave lengths need"),
     ],
@@ -246,6 +255,26 @@ def test_water_from_kd(tmp_path):
 def test_refusals(tmp_path, old, new, message):
     with pytest.raises(ValueError, match=message):
         _load(tmp_path, (old, new))
+
+
+def test_inelastic(tmp_path):
+    """Processes as their classes are built; absent without the table."""
+    assert _load(tmp_path).scene.inelastic is None
+    table = "[inelastic]\nraman = true\nchlorophyll_fluorescence = true\n"
+    change = ("[floor]", table + "chlorophyll_quantum_yield = 0.01\n[floor]")
+    found = _load(tmp_path, change)
+    assert isinstance(found.scene.inelastic.raman, oi.Raman)
+    assert found.scene.inelastic.cdom is None
+    np.testing.assert_allclose(found.scene.inelastic.chlorophyll.quantum_yield, 0.01)
+    # The structure of daylight is not that of emitted light.
+    assert found.fine_light is None
+    default = _load(tmp_path, ("[floor]", table + "[floor]")).scene.inelastic.chlorophyll
+    np.testing.assert_allclose(default.quantum_yield, 0.02)
+    bare = TEXT[: TEXT.index("[[objects]]")] + TEXT[TEXT.index("[camera]") :]
+    np.save(tmp_path / "r.npy", np.ones((4, 6)))
+    ranged = "[range_map]\nrange_m = 'r.npy'\nreflectance = 0.5\n"
+    with pytest.raises(ValueError, match="goes without objects, lamps, waves and inelastic"):
+        _load(tmp_path, ("[floor]", table + ranged + "[floor]"), text=bare)
 
 
 def test_missing_file(tmp_path):
@@ -290,3 +319,10 @@ def test_clear_sky():
     assert share[0] > 1.3 * share[2]
     with pytest.raises(ValueError, match="zenith must be finite and between 0 and 85"):
         oi.light.clear_sky([500.0], 88.0)
+
+
+def test_clear_sky_without_pvlib(monkeypatch):
+    """It says what to install, and what else to take."""
+    monkeypatch.setitem(sys.modules, "pvlib.atmosphere", None)
+    with pytest.raises(ImportError, match="pip install pvlib, or give the light another spectrum"):
+        oi.light.clear_sky([450.0, 550.0], 30.0)

@@ -128,3 +128,30 @@ def test_absent_terms_are_absent_from_the_program():
 def test_refusals(call, message):
     with pytest.raises(ValueError, match=message):
         call(_scene())
+
+
+@pytest.mark.parametrize("things", [0, pytest.param(1, marks=pytest.mark.slow)])
+def test_photographs_of_other_numbers_share_a_program(caplog, things):
+    """Sun, sky, wavelengths, constituents, surface, floor, camera and object all change."""
+    response = oi.spectrum.generic_camera()
+
+    def draw(k):
+        bands = oi.spectrum.bands(4, 400.0 + k, 690.0 + 3 * k)
+        water = oi.BioOpticalModel().iops(oi.Constituents(1.0 + k, 0.1 + k, 0.02 * k), bands)
+        light = oi.Light(20.0 + k, np.ones(4) + k, 0.1 * np.ones(4) * (1 + k))
+        sphere = oi.Sphere([0.1 * k, 3.0 + k, 2.0], 0.5 + 0.1 * k, np.full(4, 0.1 + 0.2 * k))
+        floor = oi.Floor(5.0 + k, np.full(4, 0.1 + 0.2 * k))
+        scene = oi.Scene(water, light, oi.FlatSurface(1.33 + 0.01 * k), floor, [sphere] * things)
+        position, direction = [0.1 * k, 0, 1.0 + k], [0.2 * k, 1, 0.1 * k]
+        camera = oi.Camera(position, direction, [0.1 * k, 0, -1], 50.0 + k, 5, 4, response)
+        return np.asarray(oi.photograph(scene, camera).value)
+
+    compiled = []
+    with jax.log_compiles():
+        for k in range(3):
+            caplog.clear()
+            found = draw(k)
+            assert np.all(np.isfinite(found))
+            compiled.append(sum(r.getMessage().startswith("Compiling") for r in caplog.records))
+    assert compiled[0] > 0
+    assert compiled[1:] == [0, 0]
