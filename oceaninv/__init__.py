@@ -21,7 +21,7 @@ from oceaninv.transport import (
 from oceaninv.water import (
     CDOM, BioOpticalModel, CDOMFluorescence, ChlorophyllFluorescence, Constituents, Detritus,
     Inelastic, IOPs, Layers, Minerals, Phytoplankton, Raman, attenuation, bio_optics,
-    gutierrez2008, inelastic, iops, jerlov, phase)
+    gutierrez2008, inelastic, iops, jerlov, measured_iops, phase)
 from oceaninv.water import mitsuba_export as mitsuba
 
 __version__ = _version()
@@ -34,6 +34,7 @@ __all__ = [
     "PlaneParallel", "PointLamp", "Raman", "RangeMap", "Rays", "Scene", "SceneFile", "Sensor",
     "Shadows", "Sphere", "SpotLamp", "TabulatedSky", "TwoStream", "WithObjects", "apparent",
     "attenuation", "bio_optics", "camera", "energy_budget", "gutierrez2008", "inelastic", "iops",
-    "irradiance", "jerlov", "light", "load_scene", "media", "mie", "mitsuba", "objects", "optics",
+    "irradiance", "jerlov", "light", "load_scene", "measured_iops", "media", "mie", "mitsuba",
+    "objects", "optics",
     "particles", "phase", "photograph", "plan", "radiance", "range_map", "scene_file",
     "spectrum", "tables", "transport", "water", "waves"]
