@@ -120,12 +120,12 @@ def _in_air(scene: Scene, mu: Array) -> Array:
 
 
 def _solve(
-    scene: Scene, streams: int, orders: int, moments: int
+    scene: Scene, streams: int, orders: int, moments: int, orthonormal: bool = False
 ) -> tuple[_column.Column, Basis, _column.Sources]:
     """The field of every azimuth order (first axis) and wavelength (second axis), the bases of
     the orders, and the light that enters."""
     mu, weight = quadrature(scene, streams, scene.light.direct.dtype)
-    bases = angular_basis(mu, weight, orders, moments)
+    bases = angular_basis(mu, weight, orders, moments, orthonormal)
     sources = _sources(scene, mu, moments, orders)
     water_axes = _column.Water._make((0, 0, None))
     by_wavelength = _axes(sources, (None, 0, None, 0, None, 0))
@@ -225,7 +225,7 @@ def _field_for_radiance(
     scene: Scene, streams: int, orders: int, inelastic_orders: int, knots: int | None
 ) -> _SolvedField:
     moments = _radiance_moments(streams)
-    columns, bases, sources = _solve(scene, streams, orders, moments)
+    columns, bases, sources = _solve(scene, streams, orders, moments, orthonormal=True)
     cosine, sun = scene.beam()
     sharp = _water(scene, _SHARP * moments - 1).moments
     mean = _first((columns, bases))
