@@ -35,6 +35,5 @@ __all__ = [
     "Shadows", "Sphere", "SpotLamp", "TabulatedSky", "TwoStream", "WithObjects", "apparent",
     "attenuation", "bio_optics", "camera", "energy_budget", "gutierrez2008", "inelastic", "iops",
     "irradiance", "jerlov", "light", "load_scene", "measured_iops", "media", "mie", "mitsuba",
-    "objects", "optics",
-    "particles", "phase", "photograph", "plan", "radiance", "range_map", "scene_file",
-    "spectrum", "tables", "transport", "water", "waves"]
+    "objects", "optics", "particles", "phase", "photograph", "plan", "radiance", "range_map",
+    "scene_file", "spectrum", "tables", "transport", "water", "waves"]

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 
 import equinox as eqx
 import jax
+import jax.core
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, ScalarLike
@@ -472,7 +473,9 @@ def measured_iops(wavelength, a, b, phase: AbstractPhase | None = None) -> IOPs:
     b = jnp.asarray(b)
     b = b.astype(jnp.result_type(float, b))
     if b.shape != wavelength.shape:
-        raise ValueError(f"b must have shape {wavelength.shape} to match wavelength, not {b.shape}.")
+        raise ValueError(
+            f"b must have shape {wavelength.shape} to match wavelength, not {b.shape}."
+        )
     check_concrete("b", b)
     molecules = pure_water.scattering(wavelength)
     if not isinstance(b, jax.core.Tracer):

@@ -205,6 +205,7 @@ def test_against_discrete_ordinates(water):
         assert error(attenuation.kd_kirk1984(a, b, mu0), mean[2]) < 0.060
 
 
+@pytest.mark.slow
 def test_mean_kd_in_jerlov_waters():
     """Worst errors to the 50, 10 and 1 % levels, every type and sun: with particles' share of bb
     above 0.7 measured 0.143, 0.0481, 0.0402; in the others 0.126, 0.122, 0.158."""
