@@ -112,8 +112,8 @@ def with_over_without_surface() -> list[str]:
         scene = oi.Scene(water, oi.Light(jnp.asarray(0.0), jnp.ones(4)), surface)
         model = oi.PlaneParallel(streams=32, orders=1)
         found.append(oi.radiance(scene, down, model).value[0] / scene.beam()[1])
-        if surface is not None:
-            back = oi.apparent.irradiance_reflectance(scene)
+    under = oi.Scene(water, oi.Light(jnp.asarray(0.0), jnp.ones(4)), oi.FlatSurface())
+    back = oi.apparent.irradiance_reflectance(under)
     ratio = found[0] / found[1]
     return [f"{x:.4f} ({100 * r:.2f} %)" for x, r in zip(ratio, back, strict=True)]
 
