@@ -13,8 +13,8 @@ from oceaninv.foundation.numerics import gauss_legendre, safe_sqrt
 class Basis(NamedTuple):
     """Nodes of one hemisphere and, for an azimuth order m, the Legendre functions on them.
 
-    With A_li = sqrt(w_i) p_l(mu_i): `odd` is A for l - m = 1, 3, ...; `even` is turn' A for
-    l - m = 0, 2, ..., `turn` orthogonal with first column sqrt(w).
+    With A_li = sqrt(w_i) p_l(mu_i), corrected (`angular_basis`): `odd` is A for l - m = 1, 3, ...;
+    `even` is turn' A for l - m = 0, 2, ..., `turn` orthogonal with first column sqrt(w).
     """
 
     mu: Array  # (n,)
@@ -89,21 +89,31 @@ def snell_gauss(
 
 
 def angular_basis(
-    mu: Float[Array, "node"], weight: Float[Array, "node"], orders: int, moments: int
+    mu: Float[Array, "node"],
+    weight: Float[Array, "node"],
+    orders: int,
+    moments: int,
+    orthonormal: bool = False,
 ) -> Basis:
     """The bases of azimuth orders m < orders (leading axis), degrees l < moments (even).
 
-    On nodes that do not integrate the Legendre functions exactly, those of order 0 are made
-    orthogonal to the first even and the first odd one, which makes flux and its first moment
-    conserved exactly (as Wiscombe 1977 does by correcting the phase function).
+    Nodes do not integrate the Legendre functions exactly: light of one degree is then scattered
+    with a share of another's moment.  Those of order 0 are made orthogonal to the first even and
+    the first odd one, which makes flux and its first moment conserved exactly (as Wiscombe 1977
+    does by correcting the phase function).  `orthonormal` makes all even and all odd ones of every
+    order orthonormal, low degrees first, so that each degree is scattered with its own moment; it
+    needs functions that the nodes tell apart, moments up to 5/4 of the nodes.
     """
     table = legendre(mu, orders, moments) * jnp.sqrt(weight)[None, None, :]
     table = jnp.pad(table, [(0, 0), (0, orders), (0, 0)])
     m, step = np.arange(orders)[:, None], np.arange(0, moments, 2)[None, :]
     degree = np.minimum(m + step, moments)
     even, odd = (jnp.swapaxes(table[m, degree + i], 1, 2) for i in (0, 1))
-    even = even.at[0].set(_orthogonal_to_first(even[0]))
-    odd = odd.at[0].set(_orthogonal_to_first(odd[0]))
+    if orthonormal:
+        even, odd = jax.vmap(jax.vmap(_orthonormal))(jnp.stack([even, odd]))
+    else:
+        even = even.at[0].set(_orthogonal_to_first(even[0]))
+        odd = odd.at[0].set(_orthogonal_to_first(odd[0]))
     # Householder: maps the first unit vector to the first column of order 0.
     one = jnp.eye(mu.shape[0], dtype=mu.dtype)
     normal = even[0, :, 0] - one[0]
@@ -120,3 +130,18 @@ def _orthogonal_to_first(columns):
     first = columns[:, :1] / jnp.linalg.norm(columns[:, :1])
     rest = columns[:, 1:] - first @ (first.T @ columns[:, 1:])
     return jnp.concatenate([first, rest], axis=1)
+
+
+def _orthonormal(columns: Float[Array, "node moment"]) -> Float[Array, "node moment"]:
+    """Orthonormal columns of the same spans, in order (Gram & Schmidt); empty ones stay empty."""
+
+    def step(done, place):
+        column = columns[:, place]
+        for _ in range(2):  # the second time for the rounding of the first
+            column = column - done @ (done.T @ column)
+        square = column @ column
+        column = column / jnp.sqrt(jnp.where(square > 0, square, 1.0))
+        return done.at[:, place].set(column), None
+
+    done, _ = jax.lax.scan(step, jnp.zeros_like(columns), jnp.arange(columns.shape[1]))
+    return done

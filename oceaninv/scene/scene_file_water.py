@@ -17,6 +17,7 @@ from oceaninv.water.bio_optics import (
     gutierrez2008,
     jerlov,
     jerlov_types,
+    measured_iops,
 )
 from oceaninv.water.iops import IOPs, Layers
 
@@ -65,8 +66,7 @@ def _homogeneous(table: Section, wavelength: np.ndarray) -> tuple[IOPs, np.ndarr
         result = _medium(table).iops(wavelength, shapes=min(3, wavelength.size))
     elif kinds == ["table"]:
         a, b = spectra(table.file("table"), wavelength, "a_per_m", "b_per_m")
-        shape = _phase(table) or phase.petzold()
-        result = IOPs(wavelength, jnp.asarray(a), jnp.asarray(b), shape)
+        result = measured_iops(wavelength, a, b, _phase(table))
     else:
         result, kd = _from_kd(table, wavelength)
     table.finish()

@@ -121,9 +121,13 @@ def kd_mean(
     q = (0.003 w + 1.758 bb/b) c depth; sky_fraction is the share of Ed(0-) that is sky light.
 
     This project's own fit to discrete ordinates for endlessly deep water under a flat surface:
-    w 0.2-0.98, bb/b 0.005-0.05, sun 0-60 degrees in air, down to 1 % of the light.  Error of K at
-    most 2.1 % to the 10 % level, 2.4 % to the 1 % level and 6 % nearer the surface in the waters
-    of `tests/oceaninv/water/test_attenuation.py` (13 % just below the surface at w = 0.95).
+    w 0.2-0.98, bb/b 0.005-0.05 of particles, sun 0-60 degrees in air, down to 1 % of the light.
+    Error of K at most 2.1 % to the 10 % level, 2.4 % to the 1 % level and 6 % nearer the surface
+    in nine waters up to w = 0.95 (13 % just below the surface at w = 0.95).  In the waters of
+    `jerlov` with less than 30 % of bb from sea water (II to 9C, w up to 0.98) at most 4.8, 4.1 and
+    14 % (to the 50 % level).  Molecules scatter back otherwise than the fit's particles do: where
+    sea water has more of bb (I, IA, IB; red light elsewhere), up to 12 % to the 10 % level and
+    16 % to the 1 % level.  All in `tests/oceaninv/water/test_attenuation.py`.
     K_deep is an effective constant, not the asymptotic K.  Without scattering K = 1.005 a/mu0; at
     a = 0 the derivative of K_deep with respect to a, truly infinite, counts as 0.
     """

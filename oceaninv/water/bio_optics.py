@@ -8,6 +8,7 @@ from collections.abc import Iterable, Sequence
 
 import equinox as eqx
 import jax
+import jax.core
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, ScalarLike
@@ -426,7 +427,7 @@ def jerlov_types(source: str = "SolonenkoMobley2015") -> tuple[str, ...]:
 def jerlov(
     type: str, wavelength, source: str = "SolonenkoMobley2015", phase: AbstractPhase | None = None
 ) -> IOPs:
-    """Optical properties of a Jerlov water type.
+    """Optical properties of a Jerlov water type: sea water and particles.
 
     **Arguments:**
 
@@ -435,10 +436,18 @@ def jerlov(
     - `source`: "SolonenkoMobley2015" (all ten types, 300-700 nm) or "WilliamsonHollins2022"
       (IB to 5C, 300-800 nm; measured 412-715 nm).  The tables' a and b do not close with Jerlov's
       Kd in the blue of coastal types.
-    - `phase`: phase function of the total scattering; Petzold's average particle unless given.
+    - `phase`: phase function of the particles; Petzold's average unless given.
 
-    Values that the source marks as doubtful are named in a UserWarning.  An unknown type or a
-    wavelength that the table lacks raises ValueError.
+    b is divided as by `measured_iops`.  The table's b of type I is up to 12 % below that of pure
+    sea water (Zhang, Hu & He 2009) from 300 to 550 nm, which no sea is: there sea water's is taken,
+    and no particles.
+
+    **Raises:** `ValueError` for an unknown type or a wavelength that the table lacks.  Values that
+    the source marks as doubtful, and b that was raised to sea water's, are named in a UserWarning.
+
+    >>> water = jerlov("IB", [450.0])
+    >>> [round(float(b), 5) for b in water.b_components[:, 0]]
+    [0.00398, 0.06402]
     """
     wavelength = tables.check_wavelength(wavelength)
     types = jerlov_types(source)
@@ -446,6 +455,7 @@ def jerlov(
         raise tables.unknown("Jerlov water type", type, types)
     table = tables.load(source)
     a, b = table.at(wavelength, f"a_{type}"), table.at(wavelength, f"b_{type}")
+    remarks = []
     flags = table.columns.get(f"flag_{type}")
     if flags is not None:
         near = np.abs(table.wavelength[:, None] - wavelength[None, :]).argmin(axis=0)
@@ -454,8 +464,60 @@ def jerlov(
             name for name, bit in (("a", _FLAGGED_A), ("b", _FLAGGED_B)) if np.any(marked & bit)
         ]
         if doubtful:
+            remarks.append(f"{source} marks {' and '.join(doubtful)} of type {type} as doubtful.")
+    molecules = pure_water.scattering(wavelength)
+    low = b < molecules
+    if low.any():
+        remarks.append(
+            f"b of type {type} in {source} is below that of pure sea water in {int(low.sum())} of "
+            f"{low.size} bands (first at {wavelength[low][0]:g} nm): sea water's is taken there."
+        )
+    if remarks:
+        warnings.warn(" ".join(remarks), stacklevel=2)
+    return measured_iops(wavelength, a, np.maximum(b, molecules), phase)
+
+
+def measured_iops(wavelength, a, b, phase: AbstractPhase | None = None) -> IOPs:
+    """Optical properties of sea water whose total a and b were measured.
+
+    **Arguments:**
+
+    - `wavelength`: (wl,) nm, concrete, 300 to 800.
+    - `a`, `b`: (wl,) absorption and scattering of sea water and all that it holds, 1/m.
+    - `phase`: phase function of the particles; Petzold's average unless given.
+
+    Of b, the part that pure sea water scatters (Zhang, Hu & He 2009, 20 deg C, salinity 35) has
+    its own phase function, half of it backwards; the rest is particles'.  This matters in clear
+    water: at 412 nm in type IA of Jerlov it is two thirds of b and 98 % of bb.  Where b is below
+    sea water's, all of it is sea water's, and a UserWarning says so.  For b with one phase function
+    use `IOPs`.
+
+    **Raises:** `ValueError` for coefficients that are negative, not finite or not one per
+    wavelength, and for wavelengths out of range.
+
+    >>> water = measured_iops([450.0, 550.0], [0.02, 0.06], [0.1, 0.08])
+    >>> water.scatterers
+    ('water', 'particles')
+    """
+    wavelength = tables.check_wavelength(wavelength)
+    b = jnp.asarray(b)
+    b = b.astype(jnp.result_type(float, b))
+    if b.shape != wavelength.shape:
+        raise ValueError(
+            f"b must have shape {wavelength.shape} to match wavelength, not {b.shape}."
+        )
+    check_concrete("b", b)
+    molecules = pure_water.scattering(wavelength)
+    if not isinstance(b, jax.core.Tracer):
+        # Not for rounding: b may be sea water's own.
+        low = np.asarray(b) < (1 - 1e-6) * molecules
+        if low.any():
             warnings.warn(
-                f"{source} marks {' and '.join(doubtful)} of type {type} as doubtful.",
+                f"b is below that of pure sea water in {int(low.sum())} of {low.size} bands (first "
+                f"at {wavelength[low][0]:g} nm): all of it is taken as sea water's.",
                 stacklevel=2,
             )
-    return IOPs(wavelength, jnp.asarray(a), jnp.asarray(b), petzold() if phase is None else phase)
+    molecules = jnp.asarray(molecules, b.dtype)
+    rows = jnp.stack([jnp.minimum(b, molecules), jnp.maximum(b - molecules, 0.0)])
+    shapes = (Seawater(pure_water.phase_constant()), petzold() if phase is None else phase)
+    return IOPs(wavelength, jnp.asarray(a), rows, shapes, scatterers=("water", "particles"))

@@ -177,8 +177,16 @@ class Seawater(AbstractPhase):
 class FournierForand(AbstractPhase):
     """Fournier & Forand (1994) in the form of Fournier & Jonasz (1999, SPIE 3761:62).
 
-    A power-law size distribution (cumulative Junge slope mu is `slope`, 3 < slope < 5) of particles
-    of relative refractive index `index` > 1, in the anomalous-diffraction approximation.
+    A size distribution N(r) dr proportional to r^-slope, 3 < slope < 5 (their mu; the slope of
+    the numbers per radius, as of `oceaninv.particles.PowerLaw`, not of the numbers larger than r,
+    which is less by 1), of particles of relative refractive index `index` > 1, in an approximation
+    to anomalous diffraction.
+
+    The function is as published, with bb/b as in Mobley et al. 2002.  It is not Lorenz-Mie theory:
+    for index 1.05-1.15 and slope 3.5-4.3 it is 0.49 to 2.1 times that of such a population from 1
+    to 30 degrees, and its bb/b is 1.1 to 4.7 times as large (0.029 instead of 0.0071 for 1.05 and
+    4), as `test_a_population_of_the_same_index_and_slope` measures.  Give bb/b where it is known;
+    for particles of known index and sizes take `oceaninv.particles.Population`.
     """
 
     index: Float[Array, ""]

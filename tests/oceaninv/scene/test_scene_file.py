@@ -100,6 +100,12 @@ def test_tables_and_layers(tmp_path):
     np.testing.assert_allclose(
         found.scene.water.a, np.interp([437.5, 512.5, 587.5, 662.5], [400, 700], [0.1, 0.4])
     )
+    np.testing.assert_allclose(found.scene.water.b, 0.2)
+    # The stated phase function is that of particles: sea water scatters half backwards.
+    of_water, of_particles = found.scene.water.b_components
+    np.testing.assert_allclose(of_water, oi.water.scattering(found.scene.water.wavelength))
+    ratio = oi.phase.HenyeyGreenstein(0.8).backscatter_ratio
+    np.testing.assert_allclose(found.scene.water.bb, 0.5 * of_water + ratio * of_particles)
     assert found.scene.objects[0].depth.shape == (2, 3)
     assert (float(found.sensor.exposure), found.sensor.bits) == (2.0, 8)
     two = """[[water.layers]]

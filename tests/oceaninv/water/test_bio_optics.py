@@ -10,6 +10,7 @@ import pytest
 import oceaninv as oi
 from oceaninv import water
 from oceaninv.foundation import tables
+from oceaninv.water import pure_water
 from oceaninv.water.bio_optics import JERLOV_SOURCES, jerlov_types
 from tests.reference.extra_constituent import Bubbles
 
@@ -194,9 +195,12 @@ def test_jerlov_types(source):
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             found = oi.jerlov(name, [450.0, 550.0], source)
-        for values, kind in ((found.a, "a"), (found.b, "b")):
-            np.testing.assert_allclose(values, table.at([450.0, 550.0], f"{kind}_{name}"))
-        np.testing.assert_allclose(found.bb / found.b, 0.0183, rtol=5e-3)
+        a, b = (table.at([450.0, 550.0], f"{kind}_{name}") for kind in "ab")
+        molecules = pure_water.scattering([450.0, 550.0])
+        np.testing.assert_allclose(found.a, a)
+        np.testing.assert_allclose(found.b, np.maximum(b, molecules))
+        particles = np.maximum(b - molecules, 0.0)
+        np.testing.assert_allclose(found.bb, molecules / 2 + 0.0183 * particles, rtol=2e-3)
     assert len(jerlov_types("SolonenkoMobley2015")) == 10
     assert jerlov_types("WilliamsonHollins2022") == ("IB", "II", "III", "1C", "3C", "5C")
 
@@ -205,10 +209,74 @@ def test_jerlov_values_and_flags():
     found = oi.jerlov("II", [450.0, 550.0])
     np.testing.assert_allclose(found.a, [0.0241, 0.0622])
     np.testing.assert_allclose(found.b, [0.504, 0.358])
-    with pytest.warns(UserWarning, match="marks b of type I as doubtful"):
-        oi.jerlov("I", [450.0])
+    with pytest.warns(UserWarning, match="marks b of type I as doubtful. .* in 1 of 2 bands"):
+        oi.jerlov("I", [450.0, 600.0])
     given = oi.jerlov("II", [450.0], phase=oi.phase.Isotropic())
     np.testing.assert_allclose(given.bb, 0.252)
+
+
+@pytest.mark.parametrize("kind", ["I", "IA", "IB"])
+def test_clearest_jerlov_waters_scatter_back_as_much_as_sea_water(kind):
+    """Every nm of 412-550; the part of particles is what the table leaves."""
+    wavelength = np.arange(412.0, 551.0)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        found = oi.jerlov(kind, wavelength)
+    molecules = pure_water.scattering(wavelength)
+    assert np.all(np.asarray(found.bb) >= molecules / 2 * (1 - 1e-6))
+    table = tables.load("SolonenkoMobley2015").at(wavelength, f"b_{kind}")
+    particles = found.b_components[found.scatterers.index("particles")]
+    np.testing.assert_allclose(particles, np.maximum(table - molecules, 0.0), atol=1e-9)
+    assert (kind == "I") == bool(np.any(np.asarray(particles) == 0.0))
+
+
+def test_blue_jerlov_water_is_as_bright_as_hydrolight_says():
+    """Rrs at 412 and 443 nm of types IA and IB, without Raman scattering, against the fit of Lee,
+    Carder & Du 2004 (Applied Optics 43:4957, eqs 17 and 19) to HydroLight, which has the
+    backscattering of water and of particles apart; r_rs to Rrs by Lee, Carder & Arnone 2002."""
+    wavelength = [412.0, 443.0]
+    for kind, worst in (("IA", 0.03), ("IB", 0.037)):
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            water = oi.jerlov(kind, wavelength)
+        scene = oi.Scene(water, oi.Light(30.0, jnp.ones(2)), oi.FlatSurface())
+        found = oi.apparent.remote_sensing_reflectance(scene, oi.PlaneParallel(streams=8))
+        of_water = pure_water.scattering(wavelength) / 2
+        below = water.a + water.bb
+        u_water, u_particles = of_water / below, (water.bb - of_water) / below
+        g_particles = 0.197 * (1 - 0.636 * np.exp(-2.552 * u_particles))
+        r_rs = 0.113 * u_water + g_particles * u_particles
+        np.testing.assert_allclose(found, 0.52 * r_rs / (1 - 1.7 * r_rs), rtol=worst)
+
+
+def test_measured_coefficients_are_shared_between_sea_water_and_particles():
+    wavelength = [412.0, 550.0]
+    molecules = pure_water.scattering(wavelength)
+    with pytest.warns(UserWarning, match="in 1 of 2 bands .first at 412 nm"):
+        found = oi.measured_iops(wavelength, [0.02, 0.06], [0.004, 0.1])
+    np.testing.assert_allclose(
+        found.b_components, [[0.004, molecules[1]], [0.0, 0.1 - molecules[1]]], atol=1e-9
+    )
+    petzold = float(found.phases[1].backscatter_ratio)
+    np.testing.assert_allclose(found.bb, [0.002, molecules[1] / 2 + petzold * (0.1 - molecules[1])])
+
+    def backscattered(b):
+        return oi.measured_iops(wavelength, jnp.full(2, 0.1), b, oi.phase.Isotropic()).bb
+
+    # Traced, and without a warning.
+    slope = jax.jit(jax.jacfwd(backscattered))(jnp.asarray([0.0, 0.1]))
+    np.testing.assert_allclose(slope, [[0.5, 0.0], [0.0, 0.5]])
+    # Sea water alone is no reason to warn.
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        alone = oi.measured_iops(wavelength, [0.02, 0.06], molecules)
+    np.testing.assert_allclose(alone.bb, molecules / 2)
+    with pytest.raises(ValueError, match=r"b must have shape \(2,\)"):
+        oi.measured_iops(wavelength, [0.02, 0.06], 0.1)
+    with pytest.raises(ValueError, match="b must be finite"):
+        oi.measured_iops(wavelength, [0.02, 0.06], [np.nan, 0.1])
+    with pytest.raises(ValueError, match="covers 300-800 nm"):
+        oi.measured_iops([412.0, 850.0], [0.02, 0.06], [0.1, 0.1])
 
 
 def test_jerlov_refusals():

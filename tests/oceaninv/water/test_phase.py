@@ -12,6 +12,7 @@ import pytest
 import scipy.optimize
 import scipy.special
 
+import oceaninv as oi
 from oceaninv.water.phase import (
     FournierForand,
     HenyeyGreenstein,
@@ -170,6 +171,34 @@ def test_published_numbers():
     cone = float(particle(jnp.asarray(1.0))) * 4 * np.pi * np.sin(CAP / 2) ** 2
     assert cone == pytest.approx(0.052, abs=5e-4)
     assert float(Seawater().backscatter_ratio) == 0.5
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("index", [1.05, 1.15])
+@pytest.mark.parametrize("slope", [3.5, 4.0, 4.3])
+def test_a_population_of_the_same_index_and_slope(index, slope):
+    """Lorenz-Mie theory for N(r) ~ r^-slope: near the sun the light falls as angle^(slope - 5),
+    the power of diffraction; how far the Fournier-Forand function is from it elsewhere."""
+    degrees = np.array([0.3, 1.0, 3.0, 10.0, 20.0, 30.0])
+    nodes, weights = np.polynomial.legendre.leggauss(16)
+    cosines = np.concatenate([np.cos(np.radians(degrees)), (nodes - 1) / 2])
+    population = oi.particles.Population(
+        index * 1.34, oi.particles.PowerLaw(slope, 0.01, 50.0), 1e-6, radii=100
+    )
+    mie = np.asarray(population.phase_function(cosines, [550.0], 1.34))[:, 0]
+    ff = FournierForand(index=index, slope=slope)
+    ratio = np.asarray(ff(jnp.asarray(cosines[:6]))) / mie[:6]
+    # From 1 to 30 degrees; worst 0.486 and 2.08.
+    assert np.all((ratio[1:] > 0.48) & (ratio[1:] < 2.09))
+    # The power: both reach it towards 0 degrees only, from either side (worst 0.27 and 0.28); a
+    # slope that meant numbers larger than r would be 1 away.
+    powers = np.log([mie[1] / mie[0], ratio[1] / ratio[0]]) / np.log(degrees[1] / degrees[0])
+    assert powers[0] == pytest.approx(slope - 5, abs=0.28)
+    assert powers.sum() == pytest.approx(slope - 5, abs=0.29)
+    back = np.pi * mie[6:] @ weights
+    expected = {(1.05, 3.5): 2.15, (1.05, 4.0): 4.04, (1.05, 4.3): 4.72}
+    expected |= {(1.15, 3.5): 1.14, (1.15, 4.0): 2.76, (1.15, 4.3): 3.59}
+    assert float(ff.backscatter_ratio) / back == pytest.approx(expected[index, slope], rel=0.01)
 
 
 @pytest.mark.parametrize("ratio", [1.1e-5, 1e-4, 0.003, 0.02, 0.2, 0.48])

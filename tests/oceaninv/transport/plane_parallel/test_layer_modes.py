@@ -271,3 +271,38 @@ def test_nodes_and_basis():
     for order in (0, 1):
         even = np.asarray(basis.turn[order].T @ basis.even[order])[:, :3]
         np.testing.assert_allclose(even.T @ even, np.eye(3), atol=1e-13)
+
+
+def test_orthonormal_basis():
+    """On nodes split at a surface: orthonormal, low degrees as they are, with the derivative of
+    the index; degrees below the order and beyond the last stay empty."""
+
+    def bases(index, streams=16, dtype=jnp.float64):
+        mu, weight = snell_gauss(streams, jnp.asarray(index, dtype))
+        return angular_basis(mu, weight, 4, 2 * (5 * streams // 8), orthonormal=True), mu, weight
+
+    basis, mu, weight = bases(1.34)
+    for order in (0, 1, 3):
+        even = np.asarray(basis.turn[order].T @ basis.even[order])
+        for columns in (even, np.asarray(basis.odd[order])):
+            # Degrees order, order + 2, ... below 20.
+            held = np.sum(columns**2, axis=0) > 0
+            np.testing.assert_allclose(columns.T @ columns, np.diag(held.astype(float)), atol=1e-14)
+        assert held.sum() == (20 - order) // 2
+    # What the nodes integrate well is unchanged.
+    plain = legendre(mu, 1, 20)[0] * jnp.sqrt(weight)[None, :]
+    even = np.asarray(basis.turn[0].T @ basis.even[0])
+    np.testing.assert_allclose(even[:, :5], plain[:10:2].T, atol=2e-3)
+    assert np.abs(even - plain[::2].T).max() > 0.05
+    single = bases(1.34, dtype=jnp.float32)[0]
+    np.testing.assert_allclose(single.even, basis.even, atol=2e-5)
+
+    def number(index):
+        found = bases(index)[0]
+        return jnp.stack([jnp.sum(jnp.sin(v)) for v in (found.even, found.odd)])
+
+    slope = jax.jit(jax.jacrev(number))(1.34)
+    step = 1e-4
+    difference = (number(1.34 + step) - number(1.34 - step)) / (2 * step)
+    np.testing.assert_allclose(slope, difference, rtol=1e-6, atol=1e-7)
+    np.testing.assert_allclose(jax.jit(jax.jacfwd(number))(1.34), slope, rtol=1e-9)
