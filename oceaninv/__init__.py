@@ -19,10 +19,9 @@ from oceaninv.transport import (
     EnergyBudget, Estimate, FourStream, Irradiance, KdTransport, MonteCarlo, PlaneParallel,
     Shadows, TwoStream, WithObjects, apparent, energy_budget, irradiance, photograph, radiance)
 from oceaninv.water import (
-    CDOM, BioOpticalModel, CDOMFluorescence, ChlorophyllFluorescence, Constituents, Detritus,
-    Inelastic, IOPs, Layers, Minerals, Phytoplankton, Raman, attenuation, bio_optics,
-    disc_transmission, gutierrez2008, inelastic, iops, jerlov, measured_iops, phase,
-    target_transmission)
+    CDOM, BioOpticalModel, CDOMFluorescence, ChlorophyllFluorescence, Constituents, Detritus, IOPs,
+    Inelastic, Layers, Minerals, Phytoplankton, Raman, attenuation, bio_optics, disc_transmission,
+    gutierrez2008, inelastic, iops, jerlov, measured_iops, phase, target_transmission)
 from oceaninv.water import mitsuba_export as mitsuba
 
 __version__ = _version()
@@ -34,8 +33,8 @@ __all__ = [
     "KdTransport", "Layers", "Light", "Minerals", "MonteCarlo", "Phytoplankton", "Plan",
     "PlaneParallel", "PointLamp", "Raman", "RangeMap", "Rays", "Scene", "SceneFile", "Sensor",
     "Shadows", "Sphere", "SpotLamp", "TabulatedSky", "TwoStream", "WithObjects", "apparent",
-    "attenuation", "bio_optics", "camera", "disc_transmission", "energy_budget",
-    "gutierrez2008", "inelastic", "iops", "irradiance", "jerlov", "light", "load_scene",
-    "measured_iops", "media", "mie", "mitsuba", "objects", "optics", "particles", "phase", "photograph", "plan", "radiance",
-    "range_map", "scene_file", "show", "spectrum", "tables",
-    "target_transmission", "transport", "water", "waves"]
+    "attenuation", "bio_optics", "camera", "disc_transmission", "energy_budget", "gutierrez2008",
+    "inelastic", "iops", "irradiance", "jerlov", "light", "load_scene", "measured_iops", "media",
+    "mie", "mitsuba", "objects", "optics", "particles", "phase", "photograph", "plan", "radiance",
+    "range_map", "scene_file", "show", "spectrum", "tables", "target_transmission", "transport",
+    "water", "waves"]

@@ -25,9 +25,9 @@ def ranged_radiance(
 
     The radiance of a line of sight that meets an object is that of the water on the way (a finite
     ray) plus that of the object: it is Lambertian, under the sun and the diffuse light of its
-    depth, both of the same transport.  Objects out of the water or below the floor are ignored.
-    Objects cast no shadows, and light between them is neglected.  The errors stated are those of
-    the water's light.
+    depth from where it looks, scaled to Ed and Eu of the same transport.  Objects out of the water
+    or below the floor are ignored.  Objects cast no shadows, and light between them is
+    neglected.  The errors stated are those of the water's light.
     """
     fall = rays.direction[:, 2]
     depth = rays.origin[:, 2] + seen.distance * fall
