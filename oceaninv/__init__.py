@@ -5,8 +5,7 @@ light field -> what a sensor saw, every step a pure, jit-able, differentiable JA
 # isort: off
 from oceaninv import mie, transport, water
 from oceaninv.fidelity import Plan, plan
-from oceaninv.foundation import interface_optics as optics
-from oceaninv.foundation import former_names, spectrum, tables  # noqa: F401
+from oceaninv.foundation import former_names, interface_optics as optics, spectrum, tables  # noqa
 from oceaninv.foundation.provenance import version as _version
 from oceaninv.foundation.interface_optics import Rays
 from oceaninv.mie import media, particles
