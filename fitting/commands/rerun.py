@@ -25,7 +25,7 @@ _COMMANDS: dict[str, Callable] = {
 }
 # Arguments of these commands that name files or folders: those that are read, those that would be
 # written, and a network address.  `rerun` refuses a command with any other.
-READ = ("paths", "picture_of", "range_map")
+READ = ("paths", "picture_of", "range_map", "intrinsics")
 NOT_REPEATED: dict[str, Any] = {
     "output": None, "table": None, "report": False, "overwrite": False, "cluster": None,
 }  # fmt: skip

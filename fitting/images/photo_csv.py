@@ -46,7 +46,7 @@ def read_photo(
     relative scatter that is added to the stated standard deviations (caustics, unevenness).
     `camera`: a name of the response table, "generic", or None for the header's `camera`.
     `solar_zenith` and `azimuth` (degrees, 180 with the sun behind the camera): None takes the
-    header's, else 40 and 90.  `response_shift` and `pixels` as in `Photo`.
+    header's, else 40 and that of `Photo`.  `response_shift` and `pixels` as in `Photo`.
 
     Boards: those of the rows' `target`; else as wide and high as the header's `board_width` and
     `board_height` (m) say; else unknown.  `size`: width of the boards in m, instead of the
@@ -113,7 +113,7 @@ def read_photo(
             response=response,
             response_shift=response_shift,
             solar_zenith=header_number(sheet, "solar_zenith", solar_zenith, 40.0),
-            azimuth=header_number(sheet, "azimuth", azimuth, 90.0),
+            azimuth=header_number(sheet, "azimuth", azimuth, None),
             exposure=header_number(sheet, "relative_exposure", None, None),
             source=str(path),
             lamp=lamp,

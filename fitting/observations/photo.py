@@ -271,7 +271,9 @@ class Photo:
     - `solar_zenith`: degrees in air.
     - `lamp`: whether a lamp at the camera, and no daylight, lit what is seen: its light falls off
       with the square of the distance and returns by single scattering.
-    - `azimuth`: degrees between the camera's heading and the sun's, 0 looking towards the sun.
+    - `azimuth`: degrees clockwise from the sun's heading to the camera's: 0 looking at the sun,
+      90 with the sun to the left, -90 or 270 with the sun to the right.  `None` takes 90 and open
+      water that is equally bright to both sides of a chart.
     - `source`: for reports.
 
     NaN, zero and negative readings are masked, with the count in `masked`; ValueError when fewer
@@ -285,6 +287,7 @@ class Photo:
     depth_sd: float
     solar_zenith: float
     azimuth: float
+    sun_side_known: bool
     source: str
     masked: int
     pixels: Pixels | None
@@ -307,7 +310,7 @@ class Photo:
         response_shift: Any = 0.0,
         depth_sd=0.02,
         solar_zenith: Any = 40.0,
-        azimuth: Any = 90.0,
+        azimuth: Any = None,
         source="memory",
         lamp=False,
     ):
@@ -347,7 +350,8 @@ class Photo:
             ("depth", float(depth)),
             ("depth_sd", float(depth_sd)),
             ("solar_zenith", float(solar_zenith)),
-            ("azimuth", float(azimuth)),
+            ("azimuth", 90.0 if azimuth is None else float(azimuth)),
+            ("sun_side_known", azimuth is not None),
             ("source", source),
             ("masked", total - usable + (0 if pixels is None else pixels.masked)),
             ("pixels", pixels),

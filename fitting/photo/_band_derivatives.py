@@ -12,10 +12,13 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 import oceaninv as oi
-from oceaninv.transport.base import AbstractTransport
+from oceaninv.transport.base import AbstractTransport, homogeneous
+from oceaninv.transport.closed_form._two_moment_field import DeltaScaledWater
 
 # Metres after which a line of sight into open water ends.
 _FAR = 1e6
+# Least share of diffuse light in scalar irradiance.
+_LEAST = 1e-4
 
 
 def _basis(leaves: list) -> tuple:
@@ -91,7 +94,13 @@ def _radiance(rows, numbers, own, rest):
 @_bandwise
 def _irradiance(rows, numbers, own, rest):
     transport, phases = rest
-    return transport.irradiance(_scene(rows, phases, numbers[0]), own, None).Ed.value
+    scene = _scene(rows, phases, numbers[0])
+    found = transport.irradiance(scene, own, None)
+    mu0, beam = scene.beam()
+    lost = DeltaScaledWater(homogeneous(scene)).attenuation.c_star
+    sun = beam[None, :] * jnp.exp(-lost[None, :] * own[:, None] / mu0)
+    around = jnp.maximum(found.E0.value - sun, _LEAST * found.E0.value)
+    return jnp.stack([found.Ed.value, around])
 
 
 @_bandwise
@@ -144,8 +153,9 @@ def open_radiance(
 
 def downward(
     scene: oi.Scene, depths: Float[Array, " depth"], transport: AbstractTransport
-) -> Float[Array, "depth wl"]:
-    """Ed at depths, of one water lit by the sun alone under a flat surface."""
+) -> Float[Array, "2 depth wl"]:
+    """Ed and diffuse scalar irradiance at depths, of one water lit by the sun alone under a flat
+    surface.  Light scattered by less than the forward peak's width counts as the sun's."""
     rows, phases = _parts(scene)
     found = _irradiance(rows, (scene.light.zenith,), depths, (transport, phases))
-    return found * scene.light.direct[None, :]
+    return found * scene.light.direct[None, None, :]

@@ -22,6 +22,10 @@ _ALBEDO, _BRIGHTNESS, _COLOUR, _SMOOTH = 0.2, 0.5, 0.25, 100.0
 _SURFACE = 0.03
 # Metres, to which lamplight comes back from open water.
 _FAR = 1e6
+# The band nearest to 550 nm.
+_MIDDLE = int(np.argmin(np.abs(WAVELENGTH - 550.0)))
+# Metres below a chart to which the fading of light with depth is taken.
+_STEP = 0.5
 ALBEDO_TERMS = 4
 
 
@@ -45,10 +49,12 @@ class Readings(eqx.Module):
     """The numbers of one photograph as arrays, one row per reading: patches, then open water.
 
     - `reflectance`, `cover`: of the rings about each patch, see `Surroundings`.
+    - `below`: (patch,) m that a patch lies below its board's middle.
     - `chart`: (patch,) the chart of each patch.
     - `radius`: (chart, ring) m; `fall`: (chart,) how far the line of sight to a chart descends per
       metre; `distance`: (chart,) m.
-    - `direction`: distinct lines of sight into open water; `view`: (reading,) the one of each.
+    - `direction`: lines of sight into open water; `blend`: (reading, ray) weights by which each
+      reading's own is interpolated between them; `middle`: (chart, ray) those of boards' middles.
     - `level`: (chart,) whether the view is horizontal: the open water behind such a chart is as
       bright as before it.
     """
@@ -58,12 +64,14 @@ class Readings(eqx.Module):
     mask: Bool[Array, "reading channel"]
     reflectance: Float[Array, "patch ring wl"]
     cover: Float[Array, "patch ring"]
+    below: Float[Array, " patch"]
     chart: tuple[int, ...] = eqx.field(static=True)
     radius: Float[Array, "chart ring"]
     fall: Float[Array, " chart"]
     distance: Float[Array, " chart"]
     direction: Float[Array, "ray 3"]
-    view: tuple[int, ...] = eqx.field(static=True)
+    blend: Float[Array, "reading ray"]
+    middle: Float[Array, "chart ray"]
     level: tuple[bool, ...] = eqx.field(static=True)
     response: oi.spectrum.Response | None
     exposure: Float[Array, ""] | None
@@ -79,9 +87,9 @@ def _direction(zenith: float, azimuth: float) -> list[float]:
 
 def readings_of(photo: Photo) -> Readings:
     """The arrays of one photograph; ValueError when a chart is on other wavelengths."""
-    values, sigma, chart, zeniths = [np.zeros((0, 3))], [np.zeros((0, 3))], [], []
+    values, sigma, chart = [np.zeros((0, 3))], [np.zeros((0, 3))], []
     reflectance, cover = [np.zeros((0, RINGS, len(WAVELENGTH)))], [np.zeros((0, RINGS))]
-    radius = [np.zeros((0, RINGS))]
+    radius, below, angles = [np.zeros((0, RINGS))], [np.zeros(0)], [np.zeros((0, 2))]
     for k, one in enumerate(photo.charts):
         spectra = spectra_of(one.reflectance)
         if spectra.shape[1] != len(WAVELENGTH):
@@ -95,36 +103,78 @@ def readings_of(photo: Photo) -> Readings:
         reflectance.append(around.reflectance)
         cover.append(around.cover)
         radius.append(around.radius[None])
+        across, down = np.degrees(np.arctan(around.place.T / one.distance))
+        # A chart at the zenith or nadir has no upper edge.
+        upright = max(np.sin(np.radians(one.zenith)), 0.1)
+        side = across / upright if photo.sun_side_known else np.zeros(len(across))
+        angles.append(np.stack([one.zenith + down, side], axis=1))
+        below.append(around.place[:, 1] * np.sin(np.radians(one.zenith)))
         chart += [k] * len(one.values)
-        zeniths += [one.zenith] * len(one.values)
+    centres = np.array([[one.zenith, 0.0] for one in photo.charts]).reshape(-1, 2)
+    others = [[z, 0.0] for background in photo.backgrounds for z in background.zenith]
     for background in photo.backgrounds:
         values.append(background.values)
         sigma.append(background.sigma)
-        zeniths += background.zenith.tolist()
     data, spread = np.concatenate(values), np.concatenate(sigma)
     mask = np.isfinite(data) & (data > 0) & np.isfinite(spread) & (spread > 0)
-    views = list(dict.fromkeys(zeniths))
+    to_patches = np.concatenate(angles)
+    nodes, weights = _interpolation(np.concatenate([to_patches, centres]))
+    ahead = np.unique(np.asarray(others, dtype=float).reshape(-1, 2), axis=0)
+    lines = np.concatenate([nodes, ahead])
+    blend = np.zeros((len(data), len(lines)))
+    blend[: len(to_patches), : len(nodes)] = weights[: len(to_patches)]
+    for i, line in enumerate(others):
+        blend[len(to_patches) + i, len(nodes) + np.flatnonzero((ahead == line).all(1))[0]] = 1.0
+    middle = np.zeros((len(centres), len(lines)))
+    middle[:, : len(nodes)] = weights[len(to_patches) :]
     falls = [_direction(one.zenith, photo.azimuth)[2] for one in photo.charts]
+    ways = [_direction(zenith, photo.azimuth + side) for zenith, side in lines]
     return Readings(
         jnp.asarray(np.where(mask, data, 1.0)),
         jnp.asarray(np.where(mask, spread, 1.0)),
         jnp.asarray(mask),
         jnp.asarray(np.concatenate(reflectance)),
         jnp.asarray(np.concatenate(cover)),
+        jnp.asarray(np.concatenate(below)),
         tuple(chart),
         jnp.asarray(np.concatenate(radius)),
         jnp.asarray(np.asarray(falls, dtype=float)),
         jnp.asarray(np.asarray([one.distance for one in photo.charts], dtype=float)),
-        jnp.asarray(
-            np.asarray([_direction(z, photo.azimuth) for z in views], dtype=float).reshape(-1, 3)
-        ),
-        tuple(views.index(z) for z in zeniths),
+        jnp.asarray(np.asarray(ways, dtype=float).reshape(-1, 3)),
+        jnp.asarray(blend),
+        jnp.asarray(middle),
         tuple(bool(abs(fall) < 1e-9) for fall in falls),
         photo.response,
         None if photo.exposure is None else jnp.asarray(photo.exposure),
         None if photo.pixels is None else _classes(photo.pixels, photo.azimuth),
         photo.lamp,
     )
+
+
+# Directions closer together than this (degrees) count as one.
+_SAME = 0.2
+
+
+def _interpolation(angles: Float[np.ndarray, "line 2"]) -> tuple[np.ndarray, np.ndarray]:
+    """(node, 2) directions between which those asked for are interpolated, and (line, node)
+    weights: parabolas in zenith and azimuth over their range; one node where there is none.
+
+    The radiance of open water changes by several per cent over the width of a near chart.
+    """
+    if len(angles) == 0:
+        return np.zeros((0, 2)), np.zeros((0, 0))
+    places, weights = [], []
+    for column in angles.T:
+        low, high = column.min(), column.max()
+        if high - low < _SAME:
+            places.append(np.array([(low + high) / 2]))
+            weights.append(np.ones((len(column), 1)))
+            continue
+        t = (column - low) / (high - low)
+        places.append(np.array([low, (low + high) / 2, high]))
+        weights.append(np.stack([(1 - t) * (1 - 2 * t), 4 * t * (1 - t), t * (2 * t - 1)], axis=1))
+    nodes = np.array([[z, a] for z in places[0] for a in places[1]])
+    return nodes, np.einsum("lz,la->lza", *weights).reshape(len(angles), -1)
 
 
 def _classes(pixels: Pixels, azimuth: float) -> PixelClasses:
@@ -220,47 +270,75 @@ def predict(
     """Camera values of every reading of one photograph.
 
     values = G (I + M) W [ v (L - sum_j D_j f_j L') + sum_j D_j rho_j q Ed/pi ], with G the channel
-    gains, M an optional matrix of cross-talk, L the radiance of open water at the camera and L'
-    that which arrives at the chart from behind, v the relative model error of both, D_j the share
-    of the light of ring j about the patch that arrives (`oceaninv.disc_transmission`), f_j the
-    share of the ring that lies on the board, rho_j its mean reflectance, and q the irradiance on
-    the chart relative to Ed at its depth.  By lamplight see `fitting.photo._lamp.lamplit`.
+    gains, M an optional matrix of cross-talk, L the radiance of open water at the camera in the
+    direction of the patch and L' that which arrives at the chart from behind, v the relative model
+    error of both, D_j the share of the light of ring j about the patch that arrives
+    (`oceaninv.disc_transmission`), f_j the share of the ring that lies on the board and rho_j its
+    mean reflectance.  The irradiance on the chart relative to Ed at its depth, q, is that at 550 nm
+    (`chart_<photograph>_<chart>`) times the colour of light from the side: (diffuse scalar
+    irradiance / Ed) ^ `side_light_<photograph>`, relative to 550 nm.  By
+    lamplight see `fitting.photo._lamp.lamplit`.
     """
     lit = light_up(values, readings, sunlight, photo)
     return predict_lit(lit, values, readings, transport, photo)
 
 
 def predict_lit(lit: Lit, values, readings: Readings, transport, photo: int):
-    if not readings.view:
+    if not len(readings.blend):
         return readings.values
     count = len(readings.level)
     distance = _distances(values, readings, photo)
     if readings.lamp:
         return _lamplit_readings(lit, values, readings, distance, photo)
     if count == 0:
-        return _open_water(lit, readings, transport, distance)[0] @ lit.output.T
+        ahead = open_radiance(
+            lit.scene,
+            jnp.broadcast_to(lit.depth, readings.direction.shape[:1]),
+            readings.direction,
+            transport,
+        )
+        return readings.blend @ (ahead @ lit.response.T * lit.veil[None, :]) @ lit.output.T
     one = jnp.ones((), distance.dtype)
+    size = values.get("board_size", one)
     rings = ring_transmission(
-        lit.water,
-        distance,
-        readings.radius,
-        values.get("peak_width", one),
-        values.get("board_size", one),
+        lit.water, distance, readings.radius, values.get("peak_width", one), size
     )
-    chart_depth = jnp.maximum(lit.depth + distance * readings.fall, 0.0)
-    water, behind = _open_water(lit, readings, transport, chart_depth)
-    share = _shares(values, count, photo)
-    arriving = downward(lit.scene, chart_depth, transport) * share[:, None] / jnp.pi
-    # Contracted with the response first: patches are many, rings and channels few.
-    own = jnp.einsum("jkw,kw,cw->kjwc", rings, arriving, lit.response)
-    hidden = jnp.einsum("jkw,kw,cw->kjc", rings, behind, lit.response * lit.veil[:, None])
+    depth = jnp.maximum(lit.depth + distance * readings.fall, 0.0)
+    ahead, behind = _open_water(lit, readings, transport, depth)
+    down, around = downward(lit.scene, jnp.concatenate([depth, depth + _STEP]), transport)
+    fading = jnp.log(down[:count] / down[count:]) / _STEP
+    arriving = down[:count] * _shares(values, count, photo)[:, None] / jnp.pi
+    colour = jnp.log(around[:count] / down[:count])
+    exponent = values.get(f"side_light_{photo}", jnp.zeros_like(one))
+    arriving = arriving * jnp.exp(exponent * (colour - colour[:, _MIDDLE, None]))
+    # Contracted with the response first: patches are many, lines of sight and rings few.
+    response = lit.response
+    water = readings.blend @ (ahead @ response.T * lit.veil[None, :])
+    own = jnp.einsum("jkw,kw,cw->kjwc", rings, arriving, response)
+    hiding = jnp.einsum("jkw,kw,cw->kjcw", rings, behind, response * lit.veil[:, None])
     seen = []
     for k in range(count):
         rows = slice(readings.chart.index(k), readings.chart.index(k) + readings.chart.count(k))
-        flat = readings.reflectance[rows].reshape(readings.chart.count(k), -1)
-        seen.append(flat @ own[k].reshape(-1, 3) - readings.cover[rows] @ hidden[k])
+        light = _patches(readings, rows, own[k], hiding[k], ahead)
+        # Light fades with depth over the board: to first order, as it is much smaller than 1/Kd.
+        faded = (own[k] * fading[k][None, :, None], hiding[k] * fading[k][None, None, :])
+        slope = _patches(readings, rows, *faded, ahead)
+        seen.append(light - (size * readings.below[rows])[:, None] * slope)
     water = water.at[: len(readings.chart)].add(jnp.concatenate(seen))
     return water @ lit.output.T
+
+
+def _patches(readings: Readings, rows: slice, own, hiding, ahead):
+    """(patch, channel) light of a board less the open water that it hides.
+
+    `own`: (ring, wl, channel) light of white rings; `hiding`: (ring, channel, wl) share of open
+    water of each ring; `ahead`: (ray, wl) open water.
+    """
+    count = len(readings.reflectance[rows])
+    hidden = jnp.einsum("jcw,nw->jnc", hiding, ahead)
+    cover = readings.cover[rows][:, :, None] * readings.blend[rows][:, None, :]
+    bright = readings.reflectance[rows].reshape(count, -1) @ own.reshape(-1, own.shape[-1])
+    return bright - cover.reshape(count, -1) @ hidden.reshape(-1, own.shape[-1])
 
 
 def _shares(values, count: int, photo: int):
@@ -273,7 +351,7 @@ def _lamplit_readings(lit: Lit, values, readings: Readings, distance, photo: int
     light = (lit.scene.light.direct, jnp.concatenate([distance, far]))
     white, veil = lamplit(lit.water, *light, values["overlap_distance"])
     count, patches = len(readings.level), len(readings.chart)
-    ends = jnp.asarray([*readings.chart, *[count] * (len(readings.view) - patches)])
+    ends = jnp.asarray([*readings.chart, *[count] * (len(readings.blend) - patches)])
     signal = (veil @ lit.response.T * lit.veil[None, :])[ends]
     if count:
         arriving = white[:count] * _shares(values, count, photo)[:, None]
@@ -283,21 +361,26 @@ def _lamplit_readings(lit: Lit, values, readings: Readings, distance, photo: int
 
 
 def _open_water(lit: Lit, readings: Readings, transport, chart_depth):
-    """(reading, channel) open water as the camera sees it, and (chart, wl) its radiance behind each
-    chart."""
+    """(ray, wl) open water before the camera, and (chart, wl) that behind each chart relative to
+    that before the camera, in the direction of the board's middle."""
     direction = readings.direction
-    depth = jnp.broadcast_to(lit.depth, (len(direction),))
+    depth = jnp.broadcast_to(lit.depth, direction.shape[:1])
     slanted = [k for k, level in enumerate(readings.level) if not level]
-    first = {k: readings.view[readings.chart.index(k)] for k in range(len(readings.level))}
-    if slanted:
-        own = jnp.asarray([first[k] for k in slanted])
-        direction = jnp.concatenate([direction, direction[own]])
-        depth = jnp.concatenate([depth, chart_depth[jnp.asarray(slanted)]])
-    radiance = open_radiance(lit.scene, depth, direction, transport)
-    seen = radiance[jnp.asarray(readings.view)] @ lit.response.T * lit.veil[None, :]
-    end = len(readings.direction)
-    rows = [first[k] if level else end + slanted.index(k) for k, level in enumerate(readings.level)]
-    return seen, radiance[jnp.asarray(rows, dtype=int)]
+    if not slanted:
+        ahead = open_radiance(lit.scene, depth, direction, transport)
+        return ahead, jnp.ones((len(readings.level), ahead.shape[1]), ahead.dtype)
+    pick = jnp.asarray(slanted)
+    # The line of sight that is nearest to the board's middle serves for the ratio.
+    line = direction[jnp.argmax(readings.middle[pick], axis=1)]
+    both = open_radiance(
+        lit.scene,
+        jnp.concatenate([depth, jnp.broadcast_to(lit.depth, pick.shape), chart_depth[pick]]),
+        jnp.concatenate([direction, line, line]),
+        transport,
+    )
+    ahead, here, there = jnp.split(both, [len(direction), len(direction) + len(slanted)])
+    ratio = jnp.ones((len(readings.level), ahead.shape[1]), ahead.dtype)
+    return ahead, ratio.at[pick].set(there / here)
 
 
 def _distances(values, readings: Readings, photo: int):
@@ -324,7 +407,7 @@ def predict_pixels(lit: Lit, values, pixels: PixelClasses, transport, photo: int
     lost = lit.water.a + lit.water.bb
     whole = jnp.exp(-lost[None, :] * pixels.distance[:, None])
     veil = (water[:1] - whole * water[1:]) @ lit.response.T * lit.veil[None, :]
-    down = downward(lit.scene, depth, transport) / jnp.pi
+    down = downward(lit.scene, depth, transport)[0] / jnp.pi
     basis = jnp.asarray(_BASIS, dtype)
     scores = jnp.stack([values[f"albedo_{photo}_{k}"] for k in range(ALBEDO_TERMS)])
     mean = _ALBEDO + basis @ scores

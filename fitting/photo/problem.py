@@ -192,6 +192,17 @@ def _of_boards(photos: Sequence[Photo]) -> list[Parameter]:
     return found
 
 
+def _side_light(photo: Photo) -> float:
+    """Exponent of the colour of the light on upright charts that face the camera.
+
+    That of the integral of `PlaneParallel`'s radiance over the chart's hemisphere, for clear,
+    coastal and turbid water at 2-15 m: 0.5-0.9 for charts that face across the sun, 0.6-1.6 for
+    those that face away from it, and nearly 0 in direct sun; it leaves 1 to 5 %.
+    """
+    away = abs((photo.azimuth + 180.0) % 360.0 - 180.0)
+    return float(np.interp(away, [0.0, 90.0, 120.0, 180.0], [1.2, 0.75, 0.3, 0.1]))
+
+
 def _of_frame(p: int, photo: Photo) -> list[Parameter]:
     def unknown(kind, centre, spread, *, chart=None, channel=None, **more):
         place = f"_{chart}" if chart is not None else f"_{channel}" if channel else ""
@@ -204,6 +215,8 @@ def _of_frame(p: int, photo: Photo) -> list[Parameter]:
         found += [unknown("gain", 1.0, None, channel=c) for c in "RGB"]
     else:
         found.append(unknown("exposure", 1.0, photo.exposure_sd))
+    if photo.charts and not photo.lamp:
+        found.append(unknown("side_light", _side_light(photo), 0.3, transform=Identity()))
     for k, chart in enumerate(photo.charts):
         # A lamp lights charts by the inverse square of their distance; its cone and their tilt
         # cause deviations.

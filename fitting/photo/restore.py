@@ -180,7 +180,10 @@ def _along(problem, x, ranges, photo: int, zenith):
     readings = problem.readings[photo]
     lit = light_up(values, readings, problem.sunlight, photo)
     # All rays of a photograph have the azimuth of its readings.
-    first = readings.direction[0] if len(readings.view) else readings.pixels.direction
+    ahead = readings.direction
+    if len(readings.middle):
+        ahead = ahead[jnp.argmax(readings.middle[0])][None]
+    first = ahead[0] if len(readings.blend) else readings.pixels.direction
     around = jnp.arctan2(first[1], first[0])
     tilt = jnp.radians(zenith)
     way = jnp.stack([jnp.sin(tilt) * jnp.cos(around), jnp.sin(tilt) * jnp.sin(around),

@@ -21,11 +21,13 @@ class Surroundings(NamedTuple):
     - `radius`: (ring,) m, outer radii; the last reaches the board's farthest corner.
     - `reflectance`: (patch, ring, wl) means, 0 off the board.
     - `cover`: (patch, ring) shares of the rings that lie on the board.
+    - `place`: (patch, 2) m across and down from the board's middle.
     """
 
     radius: Float[np.ndarray, " ring"]
     reflectance: Float[np.ndarray, "patch ring wl"]
     cover: Float[np.ndarray, "patch ring"]
+    place: Float[np.ndarray, "patch 2"]
 
 
 def spectra_of(reflectance: np.ndarray) -> Float[np.ndarray, "patch wl"]:
@@ -66,7 +68,7 @@ def surroundings_of(chart: Chart) -> Surroundings:
     reflectance[:, 0] = own
     cover = (part > 0).mean(axis=2)
     cover[:, 0] = 1.0
-    return Surroundings(radius, reflectance, cover)
+    return Surroundings(radius, reflectance, cover, middle)
 
 
 def _points(radius: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -92,7 +94,8 @@ def _plain(own: np.ndarray, board: Board) -> Surroundings:
     mean = own.mean(axis=0)
     reflectance = np.broadcast_to(cover[:, None] * mean, (len(own), RINGS, own.shape[1])).copy()
     reflectance[:, 0] = own
-    return Surroundings(radius, reflectance, np.broadcast_to(cover, (len(own), RINGS)))
+    covers = np.broadcast_to(cover, (len(own), RINGS))
+    return Surroundings(radius, reflectance, covers, np.zeros((len(own), 2)))
 
 
 def _unknown(own: np.ndarray) -> Surroundings:

@@ -213,7 +213,7 @@ def test_every_argument_that_names_a_file_is_known(monkeypatch, folder, capsys):
     found = set()
     for command in rerun._COMMANDS.values():
         found |= rerun.names_of_files(command)
-    assert found == {"paths", "output", "table", "picture_of", "range_map"}
+    assert found == {"paths", "output", "table", "picture_of", "range_map", "intrinsics"}
     monkeypatch.setattr(rerun, "NOT_REPEATED", {"output": None})
     assert "does not know what table names" in refused(folder, capsys, "fit.nc")
 

@@ -7,6 +7,7 @@ import pytest
 
 import oceaninv as oi
 from fitting.photo._band_derivatives import downward, open_radiance, ring_transmission
+from oceaninv.transport.closed_form._two_moment_field import DeltaScaledWater
 
 WAVELENGTH = oi.spectrum.bands(4)
 DIRECTION = jnp.asarray([[0.6, 0.0, 0.8], [1.0, 0.0, 0.0], [0.0, 0.8, -0.6]])
@@ -29,7 +30,7 @@ def banded(transport, x):
     scene, size, depths = unpacked(x)
     seen = open_radiance(scene, depths, DIRECTION, transport)
     rings = ring_transmission(scene.water, depths, RADIUS, x[8], size)
-    return jnp.stack([seen, downward(scene, depths, transport), *rings])
+    return jnp.stack([seen, *downward(scene, depths, transport), *rings])
 
 
 def plain(transport, x):
@@ -40,7 +41,11 @@ def plain(transport, x):
     seen = transport.radiance(scene, rays, None).value
     discs = oi.disc_transmission(scene.water, depths, size * RADIUS, x[8])
     rings = [discs[:, 0], discs[:, 1] - discs[:, 0]]
-    return jnp.stack([seen, transport.irradiance(scene, depths, None).Ed.value, *rings])
+    light = transport.irradiance(scene, depths, None)
+    mu0, beam = scene.beam()
+    lost = DeltaScaledWater(scene.water).attenuation.c_star
+    sun = beam[None, :] * jnp.exp(-lost[None, :] * depths[:, None] / mu0)
+    return jnp.stack([seen, light.Ed.value, light.E0.value - sun, *rings])
 
 
 @pytest.mark.parametrize(
@@ -83,7 +88,7 @@ def test_derivative_in_what_is_not_banded_is_exact_too():
         return oi.TwoStream().irradiance(scene, distance, None).Ed.value
 
     def ours(scene, depth, distance):
-        return downward(scene, distance, oi.TwoStream())
+        return downward(scene, distance, oi.TwoStream())[0]
 
     slope = jax.jacfwd(lambda g: of(g, ours))(jnp.asarray(0.8))
     np.testing.assert_allclose(slope, jax.jacfwd(lambda g: of(g, direct))(jnp.asarray(0.8)))

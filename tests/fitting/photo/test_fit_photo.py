@@ -27,6 +27,7 @@ from fitting.photo.forward_model import predict
 from fitting.photo.problem import _unknowns, photo_residual, prepare
 from fitting.water_model.quantities import water_quantities
 from fitting.water_model.unknowns import water_iops
+from oceaninv.transport.closed_form._two_moment_field import DeltaScaledWater
 
 GREY = np.array([0.9, 0.5, 0.2, 0.08])
 TRUTH = {"chlorophyll": 1.5, "cdom": 0.15, "detritus": 0.08}
@@ -162,6 +163,12 @@ def test_predicted_values_are_those_of_the_forward_chain():
     across = np.array([[0.0, 1.0, -6e-17]])
     weights = np.asarray(oi.spectrum.camera_response(CAMERA).weights(WAVELENGTH))
     lit = np.asarray(oi.irradiance(scene, [5.0]).Ed.value)[0]
+    # The colour of light from the side: of diffuse light, to the power that is assumed.
+    mu0, beam = scene.beam()
+    lost = DeltaScaledWater(model).attenuation.c_star
+    around = np.asarray(oi.irradiance(scene, [5.0]).E0.value)[0]
+    side = (around - np.asarray(beam * jnp.exp(-lost * 5.0 / mu0))) / lit
+    lit = lit * (side / side[np.argmin(np.abs(WAVELENGTH - 550.0))]) ** 0.75
     endless = oi.Rays(np.array([0.0, 0.0, 5.0]), across)
     water_seen = np.asarray(oi.radiance(scene, endless).value)[0]
     rows = []

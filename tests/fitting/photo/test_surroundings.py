@@ -59,10 +59,11 @@ def test_a_board_that_fills_the_view_and_one_that_is_a_point():
         parameters, (readings,), sun = prepare([frame], oi.TwoStream())
         values = {p.name: jnp.asarray(p.centre) for p in parameters}
         values |= {f"gain_0_{c}": jnp.asarray(1.0) for c in "RGB"}
+        values["side_light_0"] = jnp.asarray(0.0)
         lit = light_up(values, readings, sun, 0)
-        return np.asarray(predict(values, readings, oi.TwoStream(), sun)), lit, values
+        return np.asarray(predict(values, readings, oi.TwoStream(), sun)), lit
 
-    point, lit, values = seen(Board(1e-7, 1e-7, 0.0))
+    point, lit = seen(Board(1e-7, 1e-7, 0.0))
     whole = seen(Board(3.0, 3.0, 0.0))[0]
     scene, water = lit.scene, lit.water
     light = np.asarray(oi.irradiance(scene, jnp.asarray([5.0])).Ed.value)[0] / np.pi
@@ -73,8 +74,45 @@ def test_a_board_that_fills_the_view_and_one_that_is_a_point():
         through = np.exp(-np.asarray(lost) * 1.5)
         expected = (through * 0.3 * light + (1 - through) * open_water) @ response.T
         np.testing.assert_allclose(got[0], expected, rtol=exact)
-    # A larger factor on the size makes a large board of a small one.
-    assert float(values["peak_width"]) == 1.5
+
+
+def test_patches_are_seen_before_the_water_in_their_own_direction():
+    """A black board hides open water, which is brighter above and towards the sun, and deeper down
+    behind its lower edge."""
+    places = [[u, v, 0.01, 0.01] for u in (-0.1, 0.0, 0.1) for v in (-0.1, 0.0, 0.1)]
+    board = Board(0.3, 0.3, 0.0, places, np.zeros(9), ground=0.0)
+    chart = Chart(np.ones((9, 3)), np.zeros(9), 0.6, board=board)
+    response = oi.spectrum.camera_response("Nikon D850")
+
+    def seen(**sun):
+        frame = Photo([chart], depth=5.0, response=response, **sun)
+        parameters, (readings,), light = prepare([frame], oi.TwoStream())
+        values = {p.name: jnp.asarray(p.centre) for p in parameters}
+        values |= {f"gain_0_{c}": jnp.asarray(1.0) for c in "RGB"}
+        lit = light_up(values, readings, light, 0)
+        return np.asarray(predict(values, readings, oi.TwoStream(), light)), lit, readings
+
+    found, lit, readings = seen(azimuth=90.0)
+    # Looking along y, with the sun at +x, which is to the left: right is -x, down is +z.
+    way = np.array([[-u, 0.6, v] for u, v, *_ in places])
+    way = jnp.asarray(way / np.linalg.norm(way, axis=1)[:, None])
+    ahead = oi.radiance(lit.scene, oi.Rays(jnp.asarray([0.0, 0.0, 5.0]), way)).value
+    down = oi.irradiance(lit.scene, jnp.asarray([5.0, 5.5])).Ed.value
+    fading = np.log(np.asarray(down[0] / down[1])) / 0.5
+    rings = np.diff(
+        np.asarray(oi.disc_transmission(lit.water, jnp.asarray([0.6]), readings.radius, 1.5))[0],
+        axis=0, prepend=0.0,
+    )  # fmt: skip
+    hidden = np.asarray(readings.cover) @ rings
+    hidden *= 1 - np.array([v for _, v, *_ in places])[:, None] * fading
+    expected = np.asarray(ahead) * (1 - hidden) @ np.asarray(lit.response).T
+    # Parabolas between three lines of sight each way.
+    np.testing.assert_allclose(found, expected, rtol=6e-3)
+    # The upper left patch is the brightest, by much more than that.
+    assert np.all(found[0] > 1.1 * found[8])
+    # Where nobody says on which side the sun stands, both sides are alike.
+    even = seen()[0]
+    np.testing.assert_allclose(even[:3], even[6:], rtol=1e-9)
 
 
 def test_readings_that_are_left_out_stay_on_the_board():

@@ -1,6 +1,7 @@
 """Light of targets of finite size: against a direct integral, limits, random walks, derivatives."""
 
 import csv
+import functools
 import itertools
 
 import jax
@@ -39,7 +40,7 @@ def direct_phi(phase, q):
     """Phi by panels of the angle, with K by integration of J0."""
     edges = np.concatenate([[0.0], np.geomspace(np.radians(0.1), np.pi / 2, 81)])
     x, w = np.polynomial.legendre.leggauss(24)
-    z, zw = np.polynomial.legendre.leggauss(400)
+    z, zw = np.polynomial.legendre.leggauss(200)
     total = 0.0
     for low, high in itertools.pairwise(edges):
         t = low + (high - low) * (x + 1) / 2
@@ -49,12 +50,17 @@ def direct_phi(phase, q):
     return total
 
 
+@functools.cache
+def direct_spline():
+    grid = np.geomspace(1e-3, 700.0, 100)
+    return CubicSpline(np.log(grid), [direct_phi(PHASES["HG"], q) for q in grid])
+
+
 @pytest.mark.parametrize("b", [0.3, 3.0])
 def test_a_disc_is_the_hankel_integral(b):
     """HG: Phi is smooth and falls off fast, so that plain quadrature between zeros of J1 serves."""
     phase, size = PHASES["HG"], 0.1
-    grid = np.geomspace(1e-3, 700.0, 100)
-    values = CubicSpline(np.log(grid), [direct_phi(phase, q) for q in grid])
+    values = direct_spline()
     x, w = np.polynomial.legendre.leggauss(40)
 
     def part(low, high):
