@@ -100,7 +100,7 @@ def _irradiance(rows, numbers, own, rest):
     lost = DeltaScaledWater(homogeneous(scene)).attenuation.c_star
     sun = beam[None, :] * jnp.exp(-lost[None, :] * own[:, None] / mu0)
     around = jnp.maximum(found.E0.value - sun, _LEAST * found.E0.value)
-    return jnp.stack([found.Ed.value, around])
+    return jnp.stack([found.Ed.value, around, sun])
 
 
 @_bandwise
@@ -153,9 +153,12 @@ def open_radiance(
 
 def downward(
     scene: oi.Scene, depths: Float[Array, " depth"], transport: AbstractTransport
-) -> Float[Array, "2 depth wl"]:
-    """Ed and diffuse scalar irradiance at depths, of one water lit by the sun alone under a flat
-    surface.  Light scattered by less than the forward peak's width counts as the sun's."""
+) -> Float[Array, "3 depth wl"]:
+    """Ed, diffuse scalar irradiance, and irradiance normal to the sun's beam, at depths.
+
+    Of one water lit by the sun alone under a flat surface.  Light scattered by less than the
+    forward peak's width counts as the sun's.
+    """
     rows, phases = _parts(scene)
     found = _irradiance(rows, (scene.light.zenith,), depths, (transport, phases))
     return found * scene.light.direct[None, None, :]

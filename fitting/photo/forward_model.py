@@ -24,6 +24,8 @@ _SURFACE = 0.03
 _FAR = 1e6
 # The band nearest to 550 nm.
 _MIDDLE = int(np.argmin(np.abs(WAVELENGTH - 550.0)))
+# Irradiance on a face that looks down, relative to Ed.
+_FROM_BELOW = 0.03
 # Metres below a chart to which the fading of light with depth is taken.
 _STEP = 0.5
 ALBEDO_TERMS = 4
@@ -49,12 +51,16 @@ class Readings(eqx.Module):
     """The numbers of one photograph as arrays, one row per reading: patches, then open water.
 
     - `reflectance`, `cover`: of the rings about each patch, see `Surroundings`.
-    - `below`: (patch,) m that a patch lies below its board's middle.
+    - `below`: (patch,) m that a patch lies below its board's middle; `place`: (patch, 2) where it
+      lies across and down, from -1 to 1 on the board.
     - `chart`: (patch,) the chart of each patch.
     - `radius`: (chart, ring) m; `fall`: (chart,) how far the line of sight to a chart descends per
       metre; `distance`: (chart,) m.
+    - `facing`: (chart, 2) the components of the line of sight to a chart towards the sun's azimuth
+      and down; `side`: the diffuse light on an upright face relative to that of even light.
     - `direction`: lines of sight into open water; `blend`: (reading, ray) weights by which each
       reading's own is interpolated between them; `middle`: (chart, ray) those of boards' middles.
+    - `grid`: how many zeniths and azimuths the first lines of sight, those to charts, have.
     - `level`: (chart,) whether the view is horizontal: the open water behind such a chart is as
       bright as before it.
     """
@@ -65,13 +71,17 @@ class Readings(eqx.Module):
     reflectance: Float[Array, "patch ring wl"]
     cover: Float[Array, "patch ring"]
     below: Float[Array, " patch"]
+    place: Float[Array, "patch 2"]
     chart: tuple[int, ...] = eqx.field(static=True)
     radius: Float[Array, "chart ring"]
     fall: Float[Array, " chart"]
     distance: Float[Array, " chart"]
+    facing: Float[Array, "chart 2"]
+    side: Float[Array, ""]
     direction: Float[Array, "ray 3"]
     blend: Float[Array, "reading ray"]
     middle: Float[Array, "chart ray"]
+    grid: tuple[int, int] = eqx.field(static=True)
     level: tuple[bool, ...] = eqx.field(static=True)
     response: oi.spectrum.Response | None
     exposure: Float[Array, ""] | None
@@ -90,6 +100,7 @@ def readings_of(photo: Photo) -> Readings:
     values, sigma, chart = [np.zeros((0, 3))], [np.zeros((0, 3))], []
     reflectance, cover = [np.zeros((0, RINGS, len(WAVELENGTH)))], [np.zeros((0, RINGS))]
     radius, below, angles = [np.zeros((0, RINGS))], [np.zeros(0)], [np.zeros((0, 2))]
+    places = [np.zeros((0, 2))]
     for k, one in enumerate(photo.charts):
         spectra = spectra_of(one.reflectance)
         if spectra.shape[1] != len(WAVELENGTH):
@@ -109,6 +120,8 @@ def readings_of(photo: Photo) -> Readings:
         side = across / upright if photo.sun_side_known else np.zeros(len(across))
         angles.append(np.stack([one.zenith + down, side], axis=1))
         below.append(around.place[:, 1] * np.sin(np.radians(one.zenith)))
+        widest = np.abs(around.place).max(axis=0, initial=0.0)
+        places.append(around.place / np.where(widest > 0, widest, 1.0))
         chart += [k] * len(one.values)
     centres = np.array([[one.zenith, 0.0] for one in photo.charts]).reshape(-1, 2)
     others = [[z, 0.0] for background in photo.backgrounds for z in background.zenith]
@@ -118,7 +131,7 @@ def readings_of(photo: Photo) -> Readings:
     data, spread = np.concatenate(values), np.concatenate(sigma)
     mask = np.isfinite(data) & (data > 0) & np.isfinite(spread) & (spread > 0)
     to_patches = np.concatenate(angles)
-    nodes, weights = _interpolation(np.concatenate([to_patches, centres]))
+    nodes, weights, grid = _interpolation(np.concatenate([to_patches, centres]))
     ahead = np.unique(np.asarray(others, dtype=float).reshape(-1, 2), axis=0)
     lines = np.concatenate([nodes, ahead])
     blend = np.zeros((len(data), len(lines)))
@@ -127,7 +140,8 @@ def readings_of(photo: Photo) -> Readings:
         blend[len(to_patches) + i, len(nodes) + np.flatnonzero((ahead == line).all(1))[0]] = 1.0
     middle = np.zeros((len(centres), len(lines)))
     middle[:, : len(nodes)] = weights[len(to_patches) :]
-    falls = [_direction(one.zenith, photo.azimuth)[2] for one in photo.charts]
+    towards = np.array([_direction(one.zenith, photo.azimuth) for one in photo.charts])
+    towards = towards.reshape(-1, 3)
     ways = [_direction(zenith, photo.azimuth + side) for zenith, side in lines]
     return Readings(
         jnp.asarray(np.where(mask, data, 1.0)),
@@ -136,14 +150,18 @@ def readings_of(photo: Photo) -> Readings:
         jnp.asarray(np.concatenate(reflectance)),
         jnp.asarray(np.concatenate(cover)),
         jnp.asarray(np.concatenate(below)),
+        jnp.asarray(np.concatenate(places)),
         tuple(chart),
         jnp.asarray(np.concatenate(radius)),
-        jnp.asarray(np.asarray(falls, dtype=float)),
+        jnp.asarray(towards[:, 2]),
         jnp.asarray(np.asarray([one.distance for one in photo.charts], dtype=float)),
+        jnp.asarray(towards[:, ::2]),
+        jnp.asarray(_light_from_the_side(photo.azimuth)),
         jnp.asarray(np.asarray(ways, dtype=float).reshape(-1, 3)),
         jnp.asarray(blend),
         jnp.asarray(middle),
-        tuple(bool(abs(fall) < 1e-9) for fall in falls),
+        grid,
+        tuple(bool(abs(fall) < 1e-9) for fall in towards[:, 2]),
         photo.response,
         None if photo.exposure is None else jnp.asarray(photo.exposure),
         None if photo.pixels is None else _classes(photo.pixels, photo.azimuth),
@@ -151,18 +169,30 @@ def readings_of(photo: Photo) -> Readings:
     )
 
 
+def _light_from_the_side(azimuth: float) -> float:
+    """Diffuse irradiance on an upright face that looks at the camera, relative to a quarter of the
+    diffuse scalar irradiance.
+
+    That of the integral of `PlaneParallel`'s radiance over the face's hemisphere at 550 nm, for
+    clear, coastal and turbid water at 5 m: 1.1-1.5 across the sun, 0.6-0.7 away from it, 1.0-1.6
+    towards it, where the diffuse light counts that of the sun's scaled forward peak apart.
+    """
+    away = abs((azimuth + 180.0) % 360.0 - 180.0)
+    return float(np.interp(away, [0.0, 90.0, 180.0], [0.63, 1.35, 1.4]))
+
+
 # Directions closer together than this (degrees) count as one.
 _SAME = 0.2
 
 
-def _interpolation(angles: Float[np.ndarray, "line 2"]) -> tuple[np.ndarray, np.ndarray]:
-    """(node, 2) directions between which those asked for are interpolated, and (line, node)
-    weights: parabolas in zenith and azimuth over their range; one node where there is none.
+def _interpolation(angles: Float[np.ndarray, "line 2"]):
+    """(node, 2) directions between which those asked for are interpolated, (line, node) weights,
+    and the numbers of zeniths and azimuths: parabolas over their range, one node where it is 0.
 
     The radiance of open water changes by several per cent over the width of a near chart.
     """
     if len(angles) == 0:
-        return np.zeros((0, 2)), np.zeros((0, 0))
+        return np.zeros((0, 2)), np.zeros((0, 0)), (0, 0)
     places, weights = [], []
     for column in angles.T:
         low, high = column.min(), column.max()
@@ -174,7 +204,8 @@ def _interpolation(angles: Float[np.ndarray, "line 2"]) -> tuple[np.ndarray, np.
         places.append(np.array([low, (low + high) / 2, high]))
         weights.append(np.stack([(1 - t) * (1 - 2 * t), 4 * t * (1 - t), t * (2 * t - 1)], axis=1))
     nodes = np.array([[z, a] for z in places[0] for a in places[1]])
-    return nodes, np.einsum("lz,la->lza", *weights).reshape(len(angles), -1)
+    blend = np.einsum("lz,la->lza", *weights).reshape(len(angles), -1)
+    return nodes, blend, (len(places[0]), len(places[1]))
 
 
 def _classes(pixels: Pixels, azimuth: float) -> PixelClasses:
@@ -274,10 +305,13 @@ def predict(
     direction of the patch and L' that which arrives at the chart from behind, v the relative model
     error of both, D_j the share of the light of ring j about the patch that arrives
     (`oceaninv.disc_transmission`), f_j the share of the ring that lies on the board and rho_j its
-    mean reflectance.  The irradiance on the chart relative to Ed at its depth, q, is that at 550 nm
-    (`chart_<photograph>_<chart>`) times the colour of light from the side: (diffuse scalar
-    irradiance / Ed) ^ `side_light_<photograph>`, relative to 550 nm.  By
-    lamplight see `fitting.photo._lamp.lamplit`.
+    mean reflectance.  q Ed is the irradiance on a chart that faces the camera, see
+    `_light_on_charts`, times `chart_<photograph>_<chart>` and, of its diffuse part, the colour
+    (diffuse scalar irradiance / Ed) ^ `side_light_<photograph>`.  It changes linearly over the
+    boards by `light_across_<photograph>` and `light_down_<photograph>`, beside its fading with
+    depth.  The change of L over the directions to the patches is that of the transport times
+    `gradient_down_<photograph>` and `gradient_across_<photograph>`.  By lamplight see
+    `fitting.photo._lamp.lamplit`.
     """
     lit = light_up(values, readings, sunlight, photo)
     return predict_lit(lit, values, readings, transport, photo)
@@ -305,12 +339,12 @@ def predict_lit(lit: Lit, values, readings: Readings, transport, photo: int):
     )
     depth = jnp.maximum(lit.depth + distance * readings.fall, 0.0)
     ahead, behind = _open_water(lit, readings, transport, depth)
-    down, around = downward(lit.scene, jnp.concatenate([depth, depth + _STEP]), transport)
-    fading = jnp.log(down[:count] / down[count:]) / _STEP
-    arriving = down[:count] * _shares(values, count, photo)[:, None] / jnp.pi
-    colour = jnp.log(around[:count] / down[:count])
+    ahead = _scaled_gradients(values, readings, ahead, photo)
+    light = downward(lit.scene, jnp.concatenate([depth, depth + _STEP]), transport)
+    fading = jnp.log(light[0, :count] / light[0, count:]) / _STEP
     exponent = values.get(f"side_light_{photo}", jnp.zeros_like(one))
-    arriving = arriving * jnp.exp(exponent * (colour - colour[:, _MIDDLE, None]))
+    arriving = _light_on_charts(readings, lit, light[:, :count], exponent)
+    arriving = arriving * _shares(values, count, photo)[:, None] / jnp.pi
     # Contracted with the response first: patches are many, lines of sight and rings few.
     response = lit.response
     water = readings.blend @ (ahead @ response.T * lit.veil[None, :])
@@ -319,17 +353,54 @@ def predict_lit(lit: Lit, values, readings: Readings, transport, photo: int):
     seen = []
     for k in range(count):
         rows = slice(readings.chart.index(k), readings.chart.index(k) + readings.chart.count(k))
-        light = _patches(readings, rows, own[k], hiding[k], ahead)
+        bright, hidden = _patches(readings, rows, own[k], hiding[k], ahead)
         # Light fades with depth over the board: to first order, as it is much smaller than 1/Kd.
         faded = (own[k] * fading[k][None, :, None], hiding[k] * fading[k][None, None, :])
-        slope = _patches(readings, rows, *faded, ahead)
-        seen.append(light - (size * readings.below[rows])[:, None] * slope)
+        bright_slope, hidden_slope = _patches(readings, rows, *faded, ahead)
+        below = (size * readings.below[rows])[:, None]
+        uneven = jnp.ones_like(below)
+        for i, name in enumerate(("across", "down")):
+            if f"light_{name}_{photo}" in values:
+                uneven += values[f"light_{name}_{photo}"] * readings.place[rows, i : i + 1]
+        seen.append(uneven * (bright - below * bright_slope) - (hidden - below * hidden_slope))
     water = water.at[: len(readings.chart)].add(jnp.concatenate(seen))
     return water @ lit.output.T
 
 
+def _scaled_gradients(values, readings: Readings, ahead, photo: int):
+    """Open water ahead, its change over the directions to the charts scaled by what the closed form
+    may be wrong by: up and down, and to the sides."""
+    if f"gradient_down_{photo}" not in values:
+        return ahead
+    zeniths, sides = readings.grid
+    near = ahead[: zeniths * sides].reshape(zeniths, sides, -1)
+    column = near[:, sides // 2][:, None]
+    before = (readings.middle[0] @ ahead)[None, None, :]
+    down, across = (values[f"gradient_{way}_{photo}"] for way in ("down", "across"))
+    near = before + down * (column - before) + across * (near - column)
+    return jnp.concatenate([near.reshape(zeniths * sides, -1), ahead[zeniths * sides :]])
+
+
+def _light_on_charts(readings: Readings, lit: Lit, light, exponent):
+    """(chart, wl) irradiance on charts that face the camera: the sun's, where they see it, and
+    diffuse light from the side, from above or from below.
+
+    An upright face gets `side` / 4 of the diffuse scalar irradiance, a level one all of the diffuse
+    downward, one that looks down 3 % of Ed; between them in the shares sin^2 and cos^2.
+    """
+    down, around, sun = light
+    mu0 = lit.scene.beam()[0]
+    ahead, level = readings.facing[:, 0], readings.facing[:, 1]
+    facing = jnp.maximum(level * mu0 - ahead * jnp.sqrt(1.0 - mu0**2), 0.0)[:, None]
+    vertical = (level**2)[:, None]
+    above = jnp.where(level[:, None] > 0, down - mu0 * sun, _FROM_BELOW * down)
+    diffuse = (1.0 - vertical) * readings.side / 4.0 * around + vertical * above
+    colour = jnp.log(around / down)
+    return facing * sun + diffuse * jnp.exp(exponent * (colour - colour[:, _MIDDLE, None]))
+
+
 def _patches(readings: Readings, rows: slice, own, hiding, ahead):
-    """(patch, channel) light of a board less the open water that it hides.
+    """(patch, channel) light of a board, and the open water that it hides.
 
     `own`: (ring, wl, channel) light of white rings; `hiding`: (ring, channel, wl) share of open
     water of each ring; `ahead`: (ray, wl) open water.
@@ -338,7 +409,7 @@ def _patches(readings: Readings, rows: slice, own, hiding, ahead):
     hidden = jnp.einsum("jcw,nw->jnc", hiding, ahead)
     cover = readings.cover[rows][:, :, None] * readings.blend[rows][:, None, :]
     bright = readings.reflectance[rows].reshape(count, -1) @ own.reshape(-1, own.shape[-1])
-    return bright - cover.reshape(count, -1) @ hidden.reshape(-1, own.shape[-1])
+    return bright, cover.reshape(count, -1) @ hidden.reshape(-1, own.shape[-1])
 
 
 def _shares(values, count: int, photo: int):

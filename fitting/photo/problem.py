@@ -192,15 +192,19 @@ def _of_boards(photos: Sequence[Photo]) -> list[Parameter]:
     return found
 
 
+_WAYS = ("across", "down")
+
+
 def _side_light(photo: Photo) -> float:
-    """Exponent of the colour of the light on upright charts that face the camera.
+    """Exponent of the colour of diffuse light on upright charts that face the camera, beside that
+    of diffuse scalar irradiance itself.
 
     That of the integral of `PlaneParallel`'s radiance over the chart's hemisphere, for clear,
-    coastal and turbid water at 2-15 m: 0.5-0.9 for charts that face across the sun, 0.6-1.6 for
-    those that face away from it, and nearly 0 in direct sun; it leaves 1 to 5 %.
+    coastal and turbid water at 2-15 m: -0.5 to -0.1 for charts that face across the sun, -0.4 to
+    0.6 for those that face away from it; it leaves 1 to 5 %.
     """
     away = abs((photo.azimuth + 180.0) % 360.0 - 180.0)
-    return float(np.interp(away, [0.0, 90.0, 120.0, 180.0], [1.2, 0.75, 0.3, 0.1]))
+    return float(np.interp(away, [0.0, 90.0, 180.0], [0.2, -0.25, -0.25]))
 
 
 def _of_frame(p: int, photo: Photo) -> list[Parameter]:
@@ -217,6 +221,13 @@ def _of_frame(p: int, photo: Photo) -> list[Parameter]:
         found.append(unknown("exposure", 1.0, photo.exposure_sd))
     if photo.charts and not photo.lamp:
         found.append(unknown("side_light", _side_light(photo), 0.3, transform=Identity()))
+        if any(chart.place is not None for chart in photo.charts):
+            # Of exact radiance over that of TwoStream, for clear, coastal and turbid water at 5 m:
+            # 0.9-1.24 in zenith, 1.1-2.7 in azimuth.
+            found.append(unknown("gradient_down", 1.1, 0.15, transform=Identity()))
+            found.append(unknown("gradient_across", 1.6, 0.6, transform=Identity()))
+            # Boards that are tilted, bent or shaded by their holder.
+            found += [unknown(f"light_{way}", 0.0, 0.05, transform=Identity()) for way in _WAYS]
     for k, chart in enumerate(photo.charts):
         # A lamp lights charts by the inverse square of their distance; its cone and their tilt
         # cause deviations.

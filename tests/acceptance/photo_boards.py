@@ -2,10 +2,10 @@
 
     python -m tests.acceptance.photo_boards [known | wrong | points]
 
-Writes photo_boards_<part>.md.  The readings are those of `_walked_charts.py`: random walks with the board
-in the scene, in front of open water, over sand and beside a wall, in three waters, for boards of
-0.1-0.6 m at 0.3-8 m.  Each scene is three ColorCheckers and open water in one photograph by a Nikon
-D850, with arbitrary gains and 1 % noise, fitted as by `fit_photo` without any argument.
+Writes photo_boards_<part>.md.  The readings are those of `_walked_charts.py`: random walks with the
+board in the scene, in front of open water and over sand, in three waters, for boards of 0.1-0.6 m
+at 0.3-8 m.  Each scene is three ColorCheckers and open water in one photograph by a Nikon D850,
+with arbitrary gains and 1 % noise, fitted as by `fit_photo` without any argument.
 
 - "known": the boards' sizes as they are, to 5 %.
 - "wrong": boards taken for 1.4 times as wide, their size given to within 35 %.
@@ -24,7 +24,7 @@ from fitting import Background, Board, Chart, Photo, fit_photos
 from tests.acceptance import _walked_charts as walked
 from tests.acceptance.photo_statistics import POINT
 
-DRAWS, NOISE, SEED = 12, 0.01, 41
+DRAWS, NOISE, SEED = 6, 0.01, 41
 QUANTITIES = ("c_550", "Kd_490", "bb_550", "a_cdm_440")
 SIZES = {"known": (1.0, 0.05), "wrong": (1.4, 0.35), "points": None}
 

@@ -45,7 +45,7 @@ def plain(transport, x):
     mu0, beam = scene.beam()
     lost = DeltaScaledWater(scene.water).attenuation.c_star
     sun = beam[None, :] * jnp.exp(-lost[None, :] * depths[:, None] / mu0)
-    return jnp.stack([seen, light.Ed.value, light.E0.value - sun, *rings])
+    return jnp.stack([seen, light.Ed.value, light.E0.value - sun, sun, *rings])
 
 
 @pytest.mark.parametrize(

@@ -162,13 +162,15 @@ def test_predicted_values_are_those_of_the_forward_chain():
     # Just above the horizon, as cos(90 degrees) is in floating point.
     across = np.array([[0.0, 1.0, -6e-17]])
     weights = np.asarray(oi.spectrum.camera_response(CAMERA).weights(WAVELENGTH))
-    lit = np.asarray(oi.irradiance(scene, [5.0]).Ed.value)[0]
-    # The colour of light from the side: of diffuse light, to the power that is assumed.
+    # An upright chart across the sun: 1.35 / 4 of the diffuse scalar irradiance, to the power that
+    # its colour is assumed to have.
     mu0, beam = scene.beam()
     lost = DeltaScaledWater(model).attenuation.c_star
-    around = np.asarray(oi.irradiance(scene, [5.0]).E0.value)[0]
-    side = (around - np.asarray(beam * jnp.exp(-lost * 5.0 / mu0))) / lit
-    lit = lit * (side / side[np.argmin(np.abs(WAVELENGTH - 550.0))]) ** 0.75
+    field = oi.irradiance(scene, [5.0])
+    around = np.asarray(field.E0.value)[0] - np.asarray(beam * jnp.exp(-lost * 5.0 / mu0))
+    colour = around / np.asarray(field.Ed.value)[0]
+    middle = np.argmin(np.abs(WAVELENGTH - 550.0))
+    lit = 1.35 / 4 * around * (colour / colour[middle]) ** -0.25
     endless = oi.Rays(np.array([0.0, 0.0, 5.0]), across)
     water_seen = np.asarray(oi.radiance(scene, endless).value)[0]
     rows = []
@@ -215,7 +217,9 @@ def test_noise_free_readings_return_the_truth():
     exact = water(np.array([440.0, 550.0]))
     c_550 = fit.quantities["c_550"]
     assert abs(np.log(float(c_550.value) / float(exact.c[1]))) < 0.2 * float(c_550.sd)
-    assert float(c_550.sd) < 0.06
+    # Mostly the width of the forward peak: of a board as large as this, it decides how much of the
+    # scattered light arrives.
+    assert float(c_550.sd) < 0.15
     cdm = float(exact.a_components[2, 0] + exact.a_components[3, 0])
     low, high = fit.quantities["a_cdm_440"].interval()
     assert low < cdm < high
@@ -244,7 +248,7 @@ def test_readings_that_scatter_more_than_stated_widen_the_intervals():
         ours, theirs = fit.quantities[name], told.quantities[name]
         assert abs(np.log(theirs.value / ours.value)) < 3e-3 * ours.sd
         assert theirs.sd == pytest.approx(ours.sd, rel=3e-3)
-    assert fit.quantities["c_550"].sd > 2.0 * fitted().quantities["c_550"].sd
+    assert fit.quantities["c_550"].sd > 1.25 * fitted().quantities["c_550"].sd
 
 
 def test_exposure_and_white_balance_do_not_matter():

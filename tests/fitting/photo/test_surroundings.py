@@ -14,6 +14,7 @@ from fitting.observations.photo import WAVELENGTH
 from fitting.photo.forward_model import light_up, predict
 from fitting.photo.problem import prepare
 from fitting.photo.surroundings import RINGS, surroundings_of
+from oceaninv.transport.closed_form._two_moment_field import DeltaScaledWater
 
 ONES = np.ones((24, 3))
 
@@ -21,6 +22,14 @@ ONES = np.ones((24, 3))
 def checker(distance=1.0, **changes) -> Chart:
     known = target("ColorChecker24")
     return Chart(ONES, known.reflectance, distance, **({"board": known.board} | changes))
+
+
+def _around(scene):
+    """Diffuse scalar irradiance at 5 m, without the delta-scaled beam of the sun."""
+    mu0, beam = scene.beam()
+    lost = DeltaScaledWater(scene.water).attenuation.c_star
+    scalar = oi.irradiance(scene, jnp.asarray([5.0])).E0.value[0]
+    return np.asarray(scalar - beam * jnp.exp(-lost * 5.0 / mu0))
 
 
 def test_rings_hold_the_board_and_no_more():
@@ -63,10 +72,11 @@ def test_a_board_that_fills_the_view_and_one_that_is_a_point():
         lit = light_up(values, readings, sun, 0)
         return np.asarray(predict(values, readings, oi.TwoStream(), sun)), lit
 
+    # An upright face across the sun: 1.35 / 4 of the diffuse scalar irradiance.
     point, lit = seen(Board(1e-7, 1e-7, 0.0))
     whole = seen(Board(3.0, 3.0, 0.0))[0]
     scene, water = lit.scene, lit.water
-    light = np.asarray(oi.irradiance(scene, jnp.asarray([5.0])).Ed.value)[0] / np.pi
+    light = 1.35 / 4 * _around(scene) / np.pi
     endless = oi.Rays(jnp.asarray([0.0, 0.0, 5.0]), jnp.asarray([[0.0, 1.0, -6e-17]]))
     open_water = np.asarray(oi.radiance(scene, endless).value)[0]
     response = np.asarray(lit.response)
@@ -89,6 +99,7 @@ def test_patches_are_seen_before_the_water_in_their_own_direction():
         parameters, (readings,), light = prepare([frame], oi.TwoStream())
         values = {p.name: jnp.asarray(p.centre) for p in parameters}
         values |= {f"gain_0_{c}": jnp.asarray(1.0) for c in "RGB"}
+        values |= {f"gradient_{way}_0": jnp.asarray(1.0) for way in ("down", "across")}
         lit = light_up(values, readings, light, 0)
         return np.asarray(predict(values, readings, oi.TwoStream(), light)), lit, readings
 
