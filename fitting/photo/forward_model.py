@@ -13,6 +13,7 @@ from fitting.photo._lamp import lamplit
 from fitting.photo.surroundings import RINGS, spectra_of, surroundings_of
 from fitting.water_model.unknowns import water_iops
 from oceaninv.transport.base import AbstractTransport
+from oceaninv.water.phase import FournierForand
 
 # Range classes of pixels: within one, the range is taken as its mean.
 _CLASSES = 24
@@ -24,6 +25,8 @@ _SURFACE = 0.03
 _FAR = 1e6
 # The band nearest to 550 nm.
 _MIDDLE = int(np.argmin(np.abs(WAVELENGTH - 550.0)))
+# Shares of the two shapes of particles, of bb/b 0.004 and 0.05, at bb/b 0.014.
+_SHARES = (0.783, 0.217)
 # Irradiance on a face that looks down, relative to Ed.
 _FROM_BELOW = 0.03
 # Metres below a chart to which the fading of light with depth is taken.
@@ -335,7 +338,7 @@ def predict_lit(lit: Lit, values, readings: Readings, transport, photo: int):
     one = jnp.ones((), distance.dtype)
     size = values.get("board_size", one)
     rings = ring_transmission(
-        lit.water, distance, readings.radius, values.get("peak_width", one), size
+        _with_one_peak(lit.water), distance, readings.radius, values.get("peak_width", one), size
     )
     depth = jnp.maximum(lit.depth + distance * readings.fall, 0.0)
     ahead, behind = _open_water(lit, readings, transport, depth)
@@ -365,6 +368,22 @@ def predict_lit(lit: Lit, values, readings: Readings, transport, photo: int):
         seen.append(uneven * (bright - below * bright_slope) - (hidden - below * hidden_slope))
     water = water.at[: len(readings.chart)].add(jnp.concatenate(seen))
     return water @ lit.output.T
+
+
+def _with_one_peak(water: oi.IOPs) -> oi.IOPs:
+    """The water with particles of one bb/b, 0.014, between those of algae and of others.
+
+    What a board's image tells of the forward peak is left to `peak_width`: it says nothing about
+    scattering backwards, though both shapes that particles are mixed of differ in either.
+    """
+    rows = [i for i, phase in enumerate(water.phases) if isinstance(phase, FournierForand)]
+    if len(rows) != 2:
+        return water
+    pair = jnp.asarray(rows)
+    shares = jnp.asarray(_SHARES, water.b_components.dtype)
+    total = jnp.sum(water.b_components[pair], axis=0)
+    b = water.b_components.at[pair].set(shares[:, None] * total[None, :])
+    return eqx.tree_at(lambda water: water.b_components, water, b)
 
 
 def _scaled_gradients(values, readings: Readings, ahead, photo: int):

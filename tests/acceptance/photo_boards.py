@@ -24,7 +24,7 @@ from fitting import Background, Board, Chart, Photo, fit_photos
 from tests.acceptance import _walked_charts as walked
 from tests.acceptance.photo_statistics import POINT
 
-DRAWS, NOISE, SEED = 6, 0.01, 41
+DRAWS, NOISE, SEED = 3, 0.01, 41
 QUANTITIES = ("c_550", "Kd_490", "bb_550", "a_cdm_440")
 SIZES = {"known": (1.0, 0.05), "wrong": (1.4, 0.35), "points": None}
 

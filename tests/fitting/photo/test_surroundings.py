@@ -11,7 +11,7 @@ from fitting import Background, Board, Chart, Photo
 from fitting.images.chart_targets import NAMES, target
 from fitting.images.photo_csv import read_photo
 from fitting.observations.photo import WAVELENGTH
-from fitting.photo.forward_model import light_up, predict
+from fitting.photo.forward_model import _with_one_peak, light_up, predict
 from fitting.photo.problem import prepare
 from fitting.photo.surroundings import RINGS, surroundings_of
 from oceaninv.transport.closed_form._two_moment_field import DeltaScaledWater
@@ -110,8 +110,9 @@ def test_patches_are_seen_before_the_water_in_their_own_direction():
     ahead = oi.radiance(lit.scene, oi.Rays(jnp.asarray([0.0, 0.0, 5.0]), way)).value
     down = oi.irradiance(lit.scene, jnp.asarray([5.0, 5.5])).Ed.value
     fading = np.log(np.asarray(down[0] / down[1])) / 0.5
+    water = _with_one_peak(lit.water)
     rings = np.diff(
-        np.asarray(oi.disc_transmission(lit.water, jnp.asarray([0.6]), readings.radius, 1.5))[0],
+        np.asarray(oi.disc_transmission(water, jnp.asarray([0.6]), readings.radius, 1.5))[0],
         axis=0, prepend=0.0,
     )  # fmt: skip
     hidden = np.asarray(readings.cover) @ rings
@@ -124,6 +125,18 @@ def test_patches_are_seen_before_the_water_in_their_own_direction():
     # Where nobody says on which side the sun stands, both sides are alike.
     even = seen()[0]
     np.testing.assert_allclose(even[:3], even[6:], rtol=1e-9)
+
+
+def test_a_board_does_not_tell_of_scattering_backwards():
+    """The peak is that of bb/b 0.014 whatever the water's: same b, share, and none lost."""
+    model = oi.BioOpticalModel()
+    water = model.iops(oi.Constituents(chlorophyll=1.0, cdom=0.1, detritus=0.1), WAVELENGTH)
+    one = _with_one_peak(water)
+    np.testing.assert_allclose(one.b, water.b, rtol=1e-6)
+    low, high = (i for i, p in enumerate(water.phases) if isinstance(p, oi.phase.FournierForand))
+    particles = one.b_components[low] + one.b_components[high]
+    ratio = (0.004 * one.b_components[low] + 0.05 * one.b_components[high]) / particles
+    np.testing.assert_allclose(ratio, 0.014, rtol=2e-3)
 
 
 def test_readings_that_are_left_out_stay_on_the_board():
