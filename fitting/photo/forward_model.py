@@ -57,8 +57,7 @@ class Readings(eqx.Module):
     - `below`: (patch,) m that a patch lies below its board's middle; `place`: (patch, 2) where it
       lies across and down, from -1 to 1 on the board.
     - `chart`: (patch,) the chart of each patch.
-    - `radius`: (chart, ring) m; `fall`: (chart,) how far the line of sight to a chart descends per
-      metre; `distance`: (chart,) m.
+    - `radius`: (chart, ring) m; `distance`: (chart,) m.
     - `facing`: (chart, 2) the components of the line of sight to a chart towards the sun's azimuth
       and down; `side`: the diffuse light on an upright face relative to that of even light.
     - `direction`: lines of sight into open water; `blend`: (reading, ray) weights by which each
@@ -77,7 +76,6 @@ class Readings(eqx.Module):
     place: Float[Array, "patch 2"]
     chart: tuple[int, ...] = eqx.field(static=True)
     radius: Float[Array, "chart ring"]
-    fall: Float[Array, " chart"]
     distance: Float[Array, " chart"]
     facing: Float[Array, "chart 2"]
     side: Float[Array, ""]
@@ -156,7 +154,6 @@ def readings_of(photo: Photo) -> Readings:
         jnp.asarray(np.concatenate(places)),
         tuple(chart),
         jnp.asarray(np.concatenate(radius)),
-        jnp.asarray(towards[:, 2]),
         jnp.asarray(np.asarray([one.distance for one in photo.charts], dtype=float)),
         jnp.asarray(towards[:, ::2]),
         jnp.asarray(_light_from_the_side(photo.azimuth)),
@@ -340,11 +337,14 @@ def predict_lit(lit: Lit, values, readings: Readings, transport, photo: int):
     rings = ring_transmission(
         _with_one_peak(lit.water), distance, readings.radius, values.get("peak_width", one), size
     )
-    depth = jnp.maximum(lit.depth + distance * readings.fall, 0.0)
+    depth = jnp.maximum(lit.depth + distance * readings.facing[:, 1], 0.0)
     ahead, behind = _open_water(lit, readings, transport, depth)
     ahead = _scaled_gradients(values, readings, ahead, photo)
     light = downward(lit.scene, jnp.concatenate([depth, depth + _STEP]), transport)
-    fading = jnp.log(light[0, :count] / light[0, count:]) / _STEP
+    # A search may pass through water so opaque that no light is left at the chart.
+    light = jnp.maximum(light, jnp.finfo(light.dtype).tiny)
+    logs = jnp.log(light)
+    fading = (logs[0, :count] - logs[0, count:]) / _STEP
     exponent = values.get(f"side_light_{photo}", jnp.zeros_like(one))
     arriving = _light_on_charts(readings, lit, light[:, :count], exponent)
     arriving = arriving * _shares(values, count, photo)[:, None] / jnp.pi
@@ -414,7 +414,7 @@ def _light_on_charts(readings: Readings, lit: Lit, light, exponent):
     vertical = (level**2)[:, None]
     above = jnp.where(level[:, None] > 0, down - mu0 * sun, _FROM_BELOW * down)
     diffuse = (1.0 - vertical) * readings.side / 4.0 * around + vertical * above
-    colour = jnp.log(around / down)
+    colour = jnp.log(around) - jnp.log(down)
     return facing * sun + diffuse * jnp.exp(exponent * (colour - colour[:, _MIDDLE, None]))
 
 
@@ -470,7 +470,9 @@ def _open_water(lit: Lit, readings: Readings, transport, chart_depth):
     )
     ahead, here, there = jnp.split(both, [len(direction), len(direction) + len(slanted)])
     ratio = jnp.ones((len(readings.level), ahead.shape[1]), ahead.dtype)
-    return ahead, ratio.at[pick].set(there / here)
+    tiny = jnp.finfo(both.dtype).tiny
+    logs = (jnp.log(jnp.maximum(light, tiny)) for light in (there, here))
+    return ahead, ratio.at[pick].set(jnp.exp(next(logs) - next(logs)))
 
 
 def _distances(values, readings: Readings, photo: int):

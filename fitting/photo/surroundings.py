@@ -49,7 +49,7 @@ def surroundings_of(chart: Chart) -> Surroundings:
     inner = rows[:, 2:].min()
     corner = np.hypot(*(np.abs(middle).max(axis=0) + np.array([board.width, board.height]) / 2))
     radius = np.geomspace(inner, corner, RINGS)
-    at, _ = _points(radius)
+    at = _points(radius)
     where = middle[:, None, None, :] + at
     spectra = np.concatenate(
         [
@@ -71,8 +71,8 @@ def surroundings_of(chart: Chart) -> Surroundings:
     return Surroundings(radius, reflectance, cover, middle)
 
 
-def _points(radius: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(ring, point, 2) points of every ring, evenly in radius and azimuth, and their radii.
+def _points(radius: np.ndarray) -> Float[np.ndarray, "ring point 2"]:
+    """Points of every ring, evenly in radius and azimuth.
 
     Scattered light falls off about as the inverse of the distance from the line of sight, so that
     an even spread in radius, not in area, counts it as it arrives.
@@ -82,14 +82,14 @@ def _points(radius: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     radii = edges[:-1, None] + share * np.diff(edges)[:, None]
     azimuth = 2 * np.pi * (np.arange(_AZIMUTHS) + 0.5) / _AZIMUTHS
     way = np.stack([np.cos(azimuth), np.sin(azimuth)], axis=-1)
-    return (radii[:, :, None, None] * way).reshape(len(radius), -1, 2), radii
+    return (radii[:, :, None, None] * way).reshape(len(radius), -1, 2)
 
 
 def _plain(own: np.ndarray, board: Board) -> Surroundings:
     """A board whose patches are not laid out: all in its middle, around them their mean."""
     half = np.array([board.width, board.height]) / 2
     radius = np.geomspace(_PATCH * half.min(), np.hypot(*half), RINGS)
-    at, _ = _points(radius)
+    at = _points(radius)
     cover = np.all(np.abs(at) <= half, axis=-1).mean(axis=1)
     mean = own.mean(axis=0)
     reflectance = np.broadcast_to(cover[:, None] * mean, (len(own), RINGS, own.shape[1])).copy()

@@ -32,15 +32,16 @@ from oceaninv.transport.closed_form._two_moment_field import DeltaScaledWater
 GREY = np.array([0.9, 0.5, 0.2, 0.08])
 TRUTH = {"chlorophyll": 1.5, "cdom": 0.15, "detritus": 0.08}
 CAMERA = "Nikon D850"
-BOARD = Board(0.2, 0.2, size_sd=0.0)
+# Too small to hide water or to shine past itself: `test_surroundings.py` tests larger ones.
+POINT = Board(1e-6, 1e-6, size_sd=0.0)
 
 
-def photo(values=None, sigma=0.01, **changes):
+def photo(values=None, sigma=0.01, board=POINT, **changes):
     """Four grey patches at two ranges and open water; readings of 1 unless given (reading, 3)."""
     values = np.ones((9, 3)) if values is None else values
     arguments = {"depth": 5.0, "response": oi.spectrum.camera_response(CAMERA)} | changes
     charts = [
-        Chart(part, GREY, r, sigma * np.abs(part), board=BOARD)
+        Chart(part, GREY, r, sigma * np.abs(part), board=board)
         for r, part in ((1.0, values[:4]), (3.0, values[4:8]))
     ]
     return Photo(charts, [Background(values[8:], sigma=sigma * np.abs(values[8:]))], **arguments)
@@ -58,10 +59,10 @@ def water(wavelength):
     return model.iops(oi.Constituents(**TRUTH), wavelength)
 
 
-def seen(**changes):
+def seen(board=POINT, **changes):
     """Noise-free readings at the truth, nuisances at their centres but for `changes`; and its
     quantities."""
-    parameters, (readings,), sunlight = prepare([photo()], oi.TwoStream())
+    parameters, (readings,), sunlight = prepare([photo(board=board)], oi.TwoStream())
     values = {p.name: jnp.asarray(p.centre) for p in parameters}
     values |= {name: jnp.asarray(v) for name, v in (TRUTH | changes).items()}
     values |= {"chart_0_0": jnp.asarray(1.3), "chart_0_1": jnp.asarray(0.6)}
@@ -154,7 +155,8 @@ def test_unknown_names_are_answered_with_near_ones():
         fit_photo(photo(clean()), priors={"backscater": Parameter("backscater", 1.0, 0.1)})
 
 
-def test_predicted_values_are_those_of_the_forward_chain():
+@pytest.mark.parametrize(("side", "exact"), [(1e-6, 1e-5), (0.2, 3e-3)])
+def test_predicted_values_are_those_of_the_forward_chain(side, exact):
     # By the public front ends, written out, against `predict`.
     model = water(WAVELENGTH)
     sun = jnp.asarray(oi.spectrum.daylight(WAVELENGTH))
@@ -176,7 +178,7 @@ def test_predicted_values_are_those_of_the_forward_chain():
     rows = []
     for r, light in ((1.0, 1.3), (3.0, 0.6)):
         # Patches that are not laid out are discs in the board's middle.
-        half, at = jnp.asarray([0.1]), jnp.asarray([r])
+        half, at = jnp.asarray([side / 2]), jnp.asarray([r])
         board = np.asarray(oi.target_transmission(model, at, half, peak_width=1.5))[0]
         patch = np.asarray(oi.disc_transmission(model, at, 0.2 * half[None], 1.5))[0, 0]
         arriving = light * lit / np.pi
@@ -184,7 +186,8 @@ def test_predicted_values_are_those_of_the_forward_chain():
         rows += [(rho * patch + GREY.mean() * (board - patch)) * arriving + behind for rho in GREY]
     expected = np.stack([*rows, water_seen]) @ weights.T * np.array([0.4, 0.2, 0.3])
     # A board's rings are 10 steps, and its corners are counted by points.
-    np.testing.assert_allclose(clean(), expected, rtol=3e-3)
+    found = seen(Board(side, side, size_sd=0.0))[0]
+    np.testing.assert_allclose(found, expected, rtol=exact)
 
 
 def test_a_shifted_response_is_the_response_moved_to_the_red():
@@ -217,9 +220,7 @@ def test_noise_free_readings_return_the_truth():
     exact = water(np.array([440.0, 550.0]))
     c_550 = fit.quantities["c_550"]
     assert abs(np.log(float(c_550.value) / float(exact.c[1]))) < 0.2 * float(c_550.sd)
-    # Mostly the width of the forward peak: of a board as large as this, it decides how much of the
-    # scattered light arrives.
-    assert float(c_550.sd) < 0.15
+    assert float(c_550.sd) < 0.06
     cdm = float(exact.a_components[2, 0] + exact.a_components[3, 0])
     low, high = fit.quantities["a_cdm_440"].interval()
     assert low < cdm < high
@@ -248,7 +249,7 @@ def test_readings_that_scatter_more_than_stated_widen_the_intervals():
         ours, theirs = fit.quantities[name], told.quantities[name]
         assert abs(np.log(theirs.value / ours.value)) < 3e-3 * ours.sd
         assert theirs.sd == pytest.approx(ours.sd, rel=3e-3)
-    assert fit.quantities["c_550"].sd > 1.25 * fitted().quantities["c_550"].sd
+    assert fit.quantities["c_550"].sd > 2.0 * fitted().quantities["c_550"].sd
 
 
 def test_exposure_and_white_balance_do_not_matter():
@@ -320,7 +321,7 @@ def _off(fit, of_water):
     ("nuisance", "value"),
     [
         ("backscatter", 1.2),
-        ("peak_width", 2.2),
+        ("detritus_scattering_ratio", 6.0),
         ("detritus_slope", 0.0105),
         ("phytoplankton_absorption", 1.4),
         ("phytoplankton_scattering", 1.5),
@@ -352,7 +353,7 @@ def test_another_library_reaches_the_same_optimum():
     parameters, readings, sunlight = prepare([frame], oi.TwoStream())
     residual = photo_residual(parameters, readings, oi.TwoStream(), sunlight)
     prior, values = parameters.prior(), tuple(r.values for r in readings)
-    other = jax.jit(lambda x: jaxopt_solver.least_squares(residual, x, values, prior.scale))(
+    other = jax.jit(lambda x: jaxopt_solver.least_squares(residual, x, values, prior.scale, 2000))(
         prior.centre
     )
     assert int(other.code) == fit.status
@@ -409,9 +410,10 @@ def test_a_stray_patch_moves_a_robust_fit_less():
     for limit in (None, 2.0):
         fit = fit_photo(photo(values), robust=limit)
         away[limit] = abs(
-            np.log(fit.quantities["c_550"].value / fitted().quantities["c_550"].value)
+            np.log(fit.quantities["Kd_490"].value / fitted().quantities["Kd_490"].value)
         )
-    assert away[2.0] < 0.4 * away[None]
+    assert away[None] > 0.05
+    assert away[2.0] < 0.1 * away[None]
 
 
 @pytest.mark.slow
@@ -450,7 +452,8 @@ def test_a_batch_is_its_fits():
 
 
 def scenery(count, seed=0):
-    """Pixels of a reef at 1-6 m in the true water, reflectances from the fit's own prior."""
+    """Pixels of a reef at 1-6 m in the true water, reflectances from the fit's own prior: their
+    mean is lost as that of an endless board, differences as those of discs of 0.03 of the range."""
     from fitting.photo.forward_model import _ALBEDO, _BASIS, ALBEDO_TERMS
 
     rng = np.random.default_rng(seed)
@@ -460,23 +463,27 @@ def scenery(count, seed=0):
     spacing = np.linspace(1.0, 6.0, 12)
     distance = np.repeat(spacing, -(-count // 12))[:count]
     across = np.tile([[0.0, 1.0, -6e-17]], (12, 1))
-    veil = oi.radiance(scene, oi.Rays(np.array([0.0, 0.0, 5.0]), across, spacing)).value
+    ahead = oi.radiance(scene, oi.Rays(np.array([0.0, 0.0, 5.0]), across)).value
+    whole = np.exp(-np.asarray(model.a + model.bb)[None] * spacing[:, None])
+    veil = (1.0 - whole) * np.asarray(ahead)
     lit = np.asarray(oi.irradiance(scene, [5.0]).Ed.value)[0] / np.pi
     which = np.searchsorted(spacing, distance)
-    albedo = _ALBEDO + rng.standard_normal((count, ALBEDO_TERMS)) @ _BASIS.T
-    arriving = lit * np.exp(-np.asarray(model.c)[None] * distance[:, None])
+    change = rng.standard_normal((count, ALBEDO_TERMS)) @ _BASIS.T
+    sizes = jnp.asarray(0.03 * spacing[:, None])
+    part = np.asarray(oi.disc_transmission(model, jnp.asarray(spacing), sizes, 1.5))[:, 0]
     weights = np.asarray(oi.spectrum.camera_response(CAMERA).weights(WAVELENGTH))
-    values = (albedo * arriving + np.asarray(veil)[which]) @ weights.T
+    values = (lit * (_ALBEDO * whole[which] + change * part[which]) + veil[which]) @ weights.T
     return np.maximum(values * (1 + 0.03 * rng.standard_normal(values.shape)), 1e-6), distance
 
 
 @pytest.mark.slow
 def test_pixels_of_unknown_reflectance_measure_attenuation():
-    """1500 surfaces in 3000 pixels: c within its interval, far better known than a priori."""
+    """1500 surfaces in 3000 pixels, with the forward peak known: c within its interval, far better
+    known than a priori."""
     values, distance = scenery(3000)
     frame = Photo((), (), Pixels(values, distance, 1500.0), depth=5.0,
                   response=oi.spectrum.camera_response(CAMERA))  # fmt: skip
-    fit = fit_photo(frame)
+    fit = fit_photo(frame, know={"peak_width": (1.5, 0.1)})
     assert fit.converged
     exact = water(np.array([550.0]))
     low, high = fit.quantities["c_550"].interval(0.99)

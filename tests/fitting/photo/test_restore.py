@@ -18,17 +18,20 @@ from tests.fitting.photo.test_fit_photo import CAMERA, clean, fitted, water
 
 
 def scene():
-    """Grey steps at 1-4 m in the true water by the front ends; their ranges and reflectances."""
+    """Grey steps at 1-4 m in the true water by the front ends; their ranges and reflectances.
+
+    Each is so large that its light is lost with a + bb, as that of what fills the view.
+    """
     sun = jnp.asarray(oi.spectrum.daylight(WAVELENGTH))
     there = oi.Scene(water(WAVELENGTH), oi.Light(40.0, sun), oi.FlatSurface())
     distance = np.tile(np.linspace(1.0, 4.0, 12)[None], (10, 1))
-    grey = np.tile(np.linspace(0.05, 0.9, 10)[:, None], (1, 12))
+    grey = np.tile(np.linspace(0.01, 0.9, 10)[:, None], (1, 12))
     across = np.tile([[0.0, 1.0, -6e-17]], (12, 1))
-    rays = oi.Rays(np.array([0.0, 0.0, 5.0]), across, distance[0])
-    veil = np.asarray(oi.radiance(there, rays).value)
+    ahead = np.asarray(oi.radiance(there, oi.Rays(np.array([0.0, 0.0, 5.0]), across)).value)
     lit = np.asarray(oi.irradiance(there, [5.0]).Ed.value)[0] / np.pi
-    through = np.exp(-np.asarray(water(WAVELENGTH).c) * distance[0][:, None])
-    spectra = grey[:, :, None] * (lit * through)[None] + veil[None]
+    iops = water(WAVELENGTH)
+    through = np.exp(-np.asarray(iops.a + iops.bb) * distance[0][:, None])
+    spectra = grey[:, :, None] * (lit * through)[None] + ((1.0 - through) * ahead)[None]
     weights = np.asarray(oi.spectrum.camera_response(CAMERA).weights(WAVELENGTH))
     values = spectra @ weights.T * np.array([0.4, 0.2, 0.3])
     distance[0, 0] = np.nan
@@ -56,7 +59,7 @@ def test_the_water_comes_out_of_a_picture(tmp_path):
     np.testing.assert_array_equal(found.veil, 1.0)
     assert found.message() is None
     assert 0.5 < over.veil.max() < 0.9
-    assert "leave room for" in str(over.message())
+    assert "of the fitted veil was subtracted" in str(over.message())
     assert np.mean(over.reflectance < 0) < 0.02
     # One direction a row: each as if the whole picture were seen in it.
     tilt = np.full((10, 1), 90.0)

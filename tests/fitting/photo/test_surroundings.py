@@ -2,6 +2,7 @@
 
 import dataclasses
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -11,10 +12,18 @@ from fitting import Background, Board, Chart, Photo
 from fitting.images.chart_targets import NAMES, target
 from fitting.images.photo_csv import read_photo
 from fitting.observations.photo import WAVELENGTH
-from fitting.photo.forward_model import _with_one_peak, light_up, predict
+from fitting.photo._band_derivatives import downward
+from fitting.photo.forward_model import (
+    _light_from_the_side,
+    _light_on_charts,
+    _with_one_peak,
+    light_up,
+    predict,
+)
 from fitting.photo.problem import prepare
 from fitting.photo.surroundings import RINGS, surroundings_of
 from oceaninv.transport.closed_form._two_moment_field import DeltaScaledWater
+from oceaninv.transport.objects._surface_irradiance import facet_irradiance
 
 ONES = np.ones((24, 3))
 
@@ -220,8 +229,94 @@ def test_a_board_without_a_known_size_is_one_more_unknown():
 
     known = target("ColorChecker24").of_size(0.289, 0.0).board
     assert "board_size" not in names(board=known).names
-    by_name = {p.name: p for p in names()}
-    assert by_name["board_size"].spread == 0.05
-    assert {p.name: p for p in names(board=None)}["board_size"].spread == 0.5
-    assert "peak_width" in by_name
+    for board, spread in ((checker().board, 0.05), (None, 0.5)):
+        by_name = {p.name: p for p in names(board=board)}
+        assert by_name["board_size"].centre == 1.0
+        assert by_name["board_size"].spread == spread
     assert len(WAVELENGTH) == 16
+
+
+def lit_by(zenith, azimuth):
+    """(irradiance on a chart, Ed, around, sun, cosine of the sun), each at (wl,)."""
+    frame = Photo([checker(zenith=zenith)], depth=5.0, azimuth=azimuth)
+    parameters, (readings,), sun = prepare([frame], oi.TwoStream())
+    values = {p.name: jnp.asarray(p.centre) for p in parameters}
+    values |= {f"gain_0_{c}": jnp.asarray(1.0) for c in "RGB"}
+    lit = light_up(values, readings, sun, 0)
+    light = downward(lit.scene, jnp.asarray([5.0]), oi.TwoStream())
+    found = _light_on_charts(readings, lit, light, jnp.asarray(0.0))
+    return (*(np.asarray(v)[0] for v in (found, *light)), float(lit.scene.beam()[0]))
+
+
+@pytest.mark.parametrize("azimuth", [0.0, 60.0, 180.0])
+def test_a_level_chart_is_lit_by_ed(azimuth):
+    found, down, *_ = lit_by(180.0, azimuth)
+    np.testing.assert_allclose(found, down, rtol=1e-12)
+    found, down, *_ = lit_by(0.0, azimuth)
+    np.testing.assert_allclose(found, 0.03 * down, rtol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("azimuth", "side"), [(0.0, 0.63), (45.0, 0.99), (-90.0, 1.35), (135.0, 1.375), (180.0, 1.4)]
+)
+def test_an_upright_chart_sees_the_light_of_its_side(azimuth, side):
+    found, _, around, sun, mu0 = lit_by(90.0, azimuth)
+    direct = np.sqrt(1 - mu0**2) * max(-np.cos(np.radians(azimuth)), 0.0)
+    np.testing.assert_allclose(found, side / 4 * around + direct * sun, rtol=1e-9)
+
+
+@pytest.mark.slow
+def test_light_from_the_side_is_that_of_the_exact_field():
+    """At 550 nm and 5 m, of waters of the default model: within a factor of 1.3."""
+    for amounts in ((0.2, 0.03, 0.01), (1.5, 0.15, 0.08), (5.0, 0.5, 0.4)):
+        names = ("chlorophyll", "cdom", "detritus")
+        water = oi.BioOpticalModel().iops(
+            oi.Constituents(**dict(zip(names, amounts, strict=True))), np.array([550.0])
+        )
+        scene = oi.Scene(water, oi.Light(40.0, jnp.ones(1)), oi.FlatSurface())
+        normals = jnp.asarray([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]])
+        exact = facet_irradiance(scene, oi.PlaneParallel(16), jnp.full(3, 5.0), normals)
+        _, around, sun = (np.asarray(v)[0, 0] for v in downward(
+            scene, jnp.asarray([5.0]), oi.TwoStream()))  # fmt: skip
+        mu0 = float(scene.beam()[0])
+        diffuse = np.asarray(exact)[:, 0] - np.array([np.sqrt(1 - mu0**2) * sun, 0.0, 0.0])
+        # A face towards the sun belongs to a camera that looks away from it.
+        for azimuth, light in zip((180.0, 90.0, 0.0), diffuse, strict=True):
+            ratio = 4 * light / around / _light_from_the_side(azimuth)
+            assert 1 / 1.45 < ratio < 1.3, (amounts, azimuth, ratio)
+
+
+def test_priors_of_light_on_boards():
+    def centre_and_spread(name, azimuth):
+        frame = Photo([checker()], depth=5.0, azimuth=azimuth)
+        one = {p.name: p for p in prepare([frame], oi.TwoStream())[0]}[name]
+        return one.centre, one.spread
+
+    for azimuth, exponent in ((0.0, 0.2), (45.0, -0.025), (90.0, -0.25), (180.0, -0.25)):
+        assert centre_and_spread("side_light_0", azimuth) == pytest.approx((exponent, 0.3))
+    for name, expected in (
+        ("gradient_down_0", (1.1, 0.15)),
+        ("gradient_across_0", (1.6, 0.6)),
+        ("light_down_0", (0.0, 0.05)),
+        ("light_across_0", (0.0, 0.05)),
+        ("peak_width", (1.5, 0.5)),
+    ):
+        assert centre_and_spread(name, 90.0) == pytest.approx(expected)
+
+
+@pytest.mark.parametrize("zenith", [90.0, 120.0])
+def test_opaque_water_leaves_values_and_derivatives_finite(zenith):
+    frame = Photo([checker(zenith=zenith)], [Background(np.ones((1, 3)))], depth=30.0)
+    parameters, (readings,), sun = prepare([frame], oi.TwoStream())
+    x = np.asarray(parameters.prior().centre).copy()
+    x[[parameters.names.index(n) for n in ("cdom", "detritus")]] += np.log(1e5)
+
+    @jax.jit
+    def with_slope(x):
+        def seen(x):
+            return predict(parameters.layout().values(x), readings, oi.TwoStream(), sun)
+
+        return seen(x), jax.jacfwd(seen)(x)
+
+    for part in with_slope(jnp.asarray(x)):
+        assert np.all(np.isfinite(part))
