@@ -17,16 +17,15 @@ import warnings
 from pathlib import Path
 
 import jax
+import jax.numpy as jnp
+import numpy as np
+from scipy.optimize import minimize
+
+import oceaninv as oi
+from oceaninv.rendering.display import display_matrix
+from tests.acceptance.camera_bands import SCENE, names_of, read_responses
 
 jax.config.update("jax_enable_x64", True)
-
-import jax.numpy as jnp  # noqa: E402
-import numpy as np  # noqa: E402
-from scipy.optimize import minimize  # noqa: E402
-
-import oceaninv as oi  # noqa: E402
-from oceaninv.rendering.display import display_matrix  # noqa: E402
-from tests.acceptance.camera_bands import SCENE, names_of, read_responses  # noqa: E402
 
 SPANS = ((400.0, 650.0), (400.0, 700.0))
 COUNTS = (8, 12)

@@ -20,14 +20,13 @@ import warnings
 from pathlib import Path
 
 import jax
+import jax.numpy as jnp
+import numpy as np
+
+import oceaninv as oi
+from oceaninv.rendering.display import display_matrix
 
 jax.config.update("jax_enable_x64", True)
-
-import jax.numpy as jnp  # noqa: E402
-import numpy as np  # noqa: E402
-
-import oceaninv as oi  # noqa: E402
-from oceaninv.rendering.display import display_matrix  # noqa: E402
 
 SCENE = Path(__file__).parents[2] / "scenes" / "three_spheres.toml"
 WATERS = (("3C", 3.0), ("3C", 9.0), ("I", 5.0), ("IA", 9.0), ("IB", 5.0), ("II", 3.0))

@@ -11,16 +11,15 @@ from pathlib import Path
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
+import numpy as np
+
+import oceaninv as oi
+from oceaninv.transport.base import homogeneous
+from oceaninv.transport.closed_form._two_moment_field import DeltaScaledWater
+from oceaninv.transport.objects._surface_irradiance import facet_irradiance
 
 jax.config.update("jax_enable_x64", True)
-
-import jax.numpy as jnp  # noqa: E402
-import numpy as np  # noqa: E402
-
-import oceaninv as oi  # noqa: E402
-from oceaninv.transport.base import homogeneous  # noqa: E402
-from oceaninv.transport.closed_form._two_moment_field import DeltaScaledWater  # noqa: E402
-from oceaninv.transport.objects._surface_irradiance import facet_irradiance  # noqa: E402
 
 WAVELENGTH = [450.0, 550.0, 650.0]
 WATERS = {

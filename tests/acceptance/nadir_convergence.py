@@ -14,13 +14,12 @@ import time
 from pathlib import Path
 
 import jax
+import jax.numpy as jnp
+import numpy as np
+
+import oceaninv as oi
 
 jax.config.update("jax_enable_x64", True)
-
-import jax.numpy as jnp  # noqa: E402
-import numpy as np  # noqa: E402
-
-import oceaninv as oi  # noqa: E402
 
 BANDS = np.linspace(400.0, 700.0, 13)
 SUNS = (0.0, 20.0, 40.0, 60.0)

@@ -18,16 +18,15 @@ from pathlib import Path
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
+import numpy as np
+from skimage.metrics import mean_squared_error
+
+import oceaninv as oi
+from oceaninv.transport.closed_form.kd import monzon2024
+from oceaninv.water.bio_optics import jerlov_types
 
 jax.config.update("jax_enable_x64", True)
-
-import jax.numpy as jnp  # noqa: E402
-import numpy as np  # noqa: E402
-from skimage.metrics import mean_squared_error  # noqa: E402
-
-import oceaninv as oi  # noqa: E402
-from oceaninv.transport.closed_form.kd import monzon2024  # noqa: E402
-from oceaninv.water.bio_optics import jerlov_types  # noqa: E402
 
 SCENE = Path(__file__).parents[2] / "scenes" / "three_spheres.toml"
 WATERS = (("3C", 3.0), ("3C", 9.0), ("I", 5.0), ("IA", 9.0), ("IB", 5.0), ("II", 3.0))
