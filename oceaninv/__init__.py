@@ -1,11 +1,11 @@
-"""Differentiable inverse rendering under water: constituents -> inherent optical properties ->
-light field -> what a sensor saw, every step a pure, jit-able, differentiable JAX function."""
+"""Inverse rendering under water: constituents -> optics -> light field -> sensor, in pure JAX."""
 
 # fmt: off
 # isort: off
 from oceaninv import mie, transport, water
 from oceaninv.fidelity import Plan, plan
-from oceaninv.foundation import former_names, interface_optics as optics, spectrum, tables  # noqa
+from oceaninv.foundation import former_names  # noqa: F401
+from oceaninv.foundation import interface_optics as optics, spectrum, tables
 from oceaninv.foundation.provenance import version as _version
 from oceaninv.foundation.interface_optics import Rays
 from oceaninv.mie import media, particles

@@ -186,14 +186,7 @@ def read_intrinsics(path: str | Path, image: str | None = None) -> Intrinsics:
     **Raises:** ValueError with a sentence where the file is missing, damaged or of an unknown
     model, or does not tell which camera it was.
     """
-    path = Path(path)
-    if path.is_dir():
-        named = [path / "cameras.bin", path / "cameras.txt"]
-        path = next((one for one in named if one.is_file()), named[0])
-    if not path.is_file():
-        raise ValueError(
-            f"{path} does not exist: the cameras.bin or cameras.txt of a model wanted."
-        )
+    path = model_file(path)
     cameras = read_cameras(path)
     number = next(iter(cameras))
     if len(cameras) > 1:

@@ -190,7 +190,7 @@ def test_a_hostile_result_ends_in_a_sentence(attributes, sentence, folder, capsy
     [
         "-o fit --overwrite --table cast.csv",
         "-o cast --overwrite --table table.csv",
-        "--output=../evil --table=/tmp/evil.csv",
+        "--output=../evil --table=../evil.csv",
         "-ofit.nc --overwrite",
     ],
 )
